@@ -3,7 +3,7 @@
 use crate::pipeline::PipelineError;
 use monogrid_geometry::{Sim3, Vec3};
 use monogrid_occupancy::MapError;
-use monogrid_slam::mapping::{KeyframeScan, LiveMaps, Maps, camera_paths};
+use monogrid_slam::mapping::{KeyframeScan, LiveMaps, MappingConfig, Maps, camera_paths};
 use monogrid_slam::{MapSize, PoseSnapshot, SensedFrame, Slam, TrackedFrame, TrajectoryPose};
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
@@ -31,7 +31,11 @@ pub struct Finished {
     pub trajectory: Vec<TrajectoryPose>,
     /// CPU time of the threads.
     pub cpu: Cpu,
+    /// What went wrong, if anything did: a listener gave up, or a part has panicked.
+    pub failure: Option<PipelineError>,
     pub(crate) maps: Option<Result<LiveMaps, MapError>>,
+    /// Whether no keyframe is in the maps, since the mapper has failed.
+    pub(crate) must_be_remade: bool,
     pub(crate) threads: usize,
     pub(crate) map_from_world: Sim3,
     pub(crate) localise_only: bool,
@@ -101,7 +105,7 @@ impl Finished {
             Some(edge) => live.mapper().with_resolution(edge),
             None => live.mapper().clone(),
         };
-        if edge.is_some() || self.slam.exchanged().is_some() {
+        if edge.is_some() || self.must_be_remade || self.slam.exchanged().is_some() {
             live = live.remade(mapper.clone(), scans, &self.poses)?;
         } else {
             scans.into_iter().for_each(|scan| live.revise(scan));
@@ -124,6 +128,19 @@ impl Finished {
             map.pack(self.threads);
         }
         Ok(Some(maps))
+    }
+
+    /// The depth of all keyframes as the filter left it, where [`Self::final_scans`] cannot be.
+    #[must_use]
+    pub fn filter_scans(&self) -> Vec<KeyframeScan> {
+        match &self.maps {
+            Some(Ok(_)) if !self.localise_only => {
+                let config = MappingConfig::thesis();
+                let done = AtomicUsize::new(0);
+                self.slam.final_scans(&config, self.threads, &done)
+            }
+            _ => Vec::new(),
+        }
     }
 
     /// The depth of all keyframes as it is mapped in the end, made better at the final poses; empty where there is

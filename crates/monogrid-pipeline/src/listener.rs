@@ -1,6 +1,7 @@
 //! Who hears of changes of the map of keyframes.
 
 use crate::clock;
+use crate::panics::message_of;
 use monogrid_slam::{Event, Slam};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
@@ -70,12 +71,18 @@ impl Listening {
         let _ = self.events.send(event.clone());
     }
 
+    /// Whether it has panicked.
+    pub(crate) fn has_failed(&self) -> bool {
+        // it ends when there are no more events, which cannot be while this exists
+        self.thread.is_finished()
+    }
+
     /// Ends the listening; the CPU time that it took.
     pub(crate) fn join(self, run: Run<'_>) -> Result<Duration, ListenerError> {
         drop(self.events);
-        let Ok((mut listener, heard, cpu)) = self.thread.join() else {
-            return Err("a listener panicked".into());
-        };
+        let heard = self.thread.join();
+        let heard = heard.map_err(|panic| format!("a listener panicked: {}", message_of(&*panic)));
+        let (mut listener, heard, cpu) = heard?;
         heard?;
         let before = clock::thread_cpu();
         listener.end(run)?;

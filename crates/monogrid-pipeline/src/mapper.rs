@@ -4,7 +4,7 @@ use crate::clock::{give_way, thread_cpu};
 use monogrid_geometry::Sim3;
 use monogrid_occupancy::MapError;
 use monogrid_slam::mapping::{KeyframeCamera, LiveMaps, MapReader, Waiting};
-use monogrid_slam::{Event, InertialPath};
+use monogrid_slam::{Event, InertialPath, fault};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::thread::{self, JoinHandle};
@@ -59,10 +59,19 @@ impl MapperThread {
         let _ = self.messages.send(Message::Path(path));
     }
 
-    /// Ends it; the maps as far as they have come, and the CPU time that they took. None if it panicked.
-    pub(crate) fn join(self) -> Option<Mapped> {
+    /// Whether it has panicked.
+    pub(crate) fn has_failed(&self) -> bool {
+        // it ends when there are no more messages, which cannot be while this exists
+        self.thread.is_finished()
+    }
+
+    /// Ends it; the maps as far as they have come, and the CPU time that they took.
+    ///
+    /// # Errors
+    /// Its panic.
+    pub(crate) fn join(self) -> thread::Result<Mapped> {
         drop(self.messages);
-        self.thread.join().ok()
+        self.thread.join()
     }
 }
 
@@ -119,6 +128,7 @@ fn be_level(maps: &mut LiveMaps, path: &InertialPath, base: &Sim3) -> Result<(),
 }
 
 fn take_event(maps: &mut LiveMaps, event: &Event, camera: &KeyframeCamera) -> Result<(), MapError> {
+    fault::pass("mapper");
     match event {
         Event::Finished(keyframe, poses) => {
             let waiting = Waiting::Keyframe(keyframe.clone(), *camera);

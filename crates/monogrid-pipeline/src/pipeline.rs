@@ -3,6 +3,7 @@
 use crate::finished::{Cpu, Finished};
 use crate::listener::{Listener, ListenerError, Listening, Run};
 use crate::mapper::MapperThread;
+use crate::panics::{attempt, message_of};
 use crate::preparation::{Preparation, Preparer, Unusable};
 use crate::readings::LiveReadings;
 use crate::shutter::Rectifier;
@@ -76,9 +77,14 @@ pub enum PipelineError {
     /// The system has no more threads.
     #[error("cannot start a thread: {0}")]
     Thread(#[from] std::io::Error),
-    /// A thread of the pipeline has panicked.
-    #[error("the {0} failed")]
-    Failed(&'static str),
+    /// A part of the pipeline has panicked, which is a fault of the program.
+    #[error("the {part} failed: {message}")]
+    Failed {
+        /// Which part.
+        part: &'static str,
+        /// What its panic says.
+        message: String,
+    },
     /// A listener gave up.
     #[error("a listener failed: {0}")]
     Listener(#[source] ListenerError),
@@ -96,6 +102,8 @@ pub struct Pipeline {
     slam: Slam,
     listeners: Vec<Listening>,
     mapper: MapperThread,
+    /// The settings of the mapper, to make maps of should it fail.
+    empty: Mapper,
     threads: usize,
     map_from_world: Sim3,
     num_frames: usize,
@@ -144,7 +152,7 @@ impl Pipeline {
         }
         let camera = KeyframeCamera::new(pinhole, preparation.size());
         let mapper = Mapper::new(settings.mapping, settings.threads);
-        let maps = LiveMaps::new(mapper, settings.map_from_world)?;
+        let maps = LiveMaps::new(mapper.clone(), settings.map_from_world)?;
         let pipeline = Self {
             rectifier: preparation.shutter().map(Rectifier::new),
             preparation,
@@ -153,6 +161,7 @@ impl Pipeline {
             slam,
             listeners: Vec::new(),
             mapper: MapperThread::start(maps, camera)?,
+            empty: mapper,
             threads: settings.threads,
             map_from_world: settings.map_from_world,
             num_frames: 0,
@@ -187,7 +196,11 @@ impl Pipeline {
     /// A map that would exceed its memory.
     pub fn live_map(&self) -> Result<MapReader, PipelineError> {
         let reader = self.live_map_later().recv();
-        Ok(reader.map_err(|_| PipelineError::Failed("mapper"))??)
+        let ended = |_| PipelineError::Failed {
+            part: "mapper",
+            message: "it has ended".to_owned(),
+        };
+        Ok(reader.map_err(ended)??)
     }
 
     /// As [`Self::live_map`] without waiting until the keyframes of now are in the maps: where the reader will arrive.
@@ -344,23 +357,97 @@ impl Pipeline {
         Ok(())
     }
 
+    /// The thread that has panicked, if one has: nothing more comes of the run, which should be finished.
+    #[must_use]
+    pub fn failed_thread(&self) -> Option<&'static str> {
+        let has_failed_listener = self.listeners.iter().any(Listening::has_failed);
+        let failed = [
+            ("mapper", self.mapper.has_failed()),
+            ("listener", has_failed_listener),
+        ];
+        let mut failed = failed.into_iter().filter(|(_, has_failed)| *has_failed);
+        failed.next().map(|(part, _)| part)
+    }
+
     /// Finishes the last keyframe and ends all threads.
     ///
     /// # Errors
-    /// What a listener gave up for. Maps that could not grow are said by [`Finished::maps`].
+    /// What a listener gave up for, or that a thread has panicked; [`Self::finish_telling`] has what there is all the same. Maps
+    /// that could not grow are said by [`Finished::maps`].
     pub fn finish(self) -> Result<Finished, PipelineError> {
-        self.finish_telling(&mut |_| ())
+        let mut finished = self.finish_telling(&mut |_| ())?;
+        finished.failure.take().map_or(Ok(finished), Err)
     }
 
     /// The same; `released` hears of it when the last frame is processed, only what was found is still there, and images and depth of
-    /// keyframes are not needed for a while ([`Slam::conclude`]): a good time to give memory back.
+    /// keyframes are not needed for a while ([`Slam::conclude`]): a good time to give memory back. What went wrong is
+    /// [`Finished::failure`], beside all that was found until then.
     ///
     /// # Errors
-    /// As [`Self::finish`].
+    /// A map that cannot be made anew after the mapper has panicked.
     pub fn finish_telling(
         mut self,
         released: &mut dyn FnMut(&Slam),
     ) -> Result<Finished, PipelineError> {
+        let mut failure = attempt(|| self.conclude(released))
+            .map_err(|message| PipelineError::Failed {
+                part: "tracking",
+                message,
+            })
+            .err();
+        let Self {
+            mut slam,
+            listeners,
+            mapper,
+            num_frames,
+            ..
+        } = self;
+        let mut cpu = Cpu::default();
+        let run = Run {
+            slam: &slam,
+            num_frames,
+        };
+        for listener in listeners {
+            match listener.join(run) {
+                Ok(time) => cpu.listening += time,
+                Err(error) => failure = failure.or(Some(PipelineError::Listener(error))),
+            }
+        }
+        let (maps, must_be_remade) = match mapper.join() {
+            Ok((maps, mapping)) => {
+                cpu.mapping = mapping;
+                (maps, false)
+            }
+            Err(panic) => {
+                let message = message_of(&*panic);
+                failure = failure.or(Some(PipelineError::Failed {
+                    part: "mapper",
+                    message,
+                }));
+                (LiveMaps::new(self.empty, self.map_from_world), true)
+            }
+        };
+        let map_size = slam.map_size();
+        if failure.is_none() {
+            slam.release();
+        }
+        Ok(Finished {
+            map_size,
+            trajectory: slam.trajectory(),
+            poses: slam.snapshot(),
+            slam,
+            maps: Some(maps),
+            must_be_remade,
+            failure,
+            cpu,
+            threads: self.threads,
+            map_from_world: self.map_from_world,
+            localise_only: self.localise_only,
+        })
+    }
+
+    /// Tracks what still waits, finishes the last keyframe and adjusts all of them.
+    fn conclude(&mut self, released: &mut dyn FnMut(&Slam)) {
         if let Some(frame) = self.readings.take_waiting() {
             self.track_read(frame, &mut |_| Effort::Whole);
         }
@@ -372,40 +459,6 @@ impl Pipeline {
         }
         self.slam.conclude(released);
         self.tell();
-        let Self {
-            mut slam,
-            listeners,
-            mapper,
-            num_frames,
-            ..
-        } = self;
-        let mut cpu = Cpu::default();
-        let mut listened = Ok(());
-        let run = Run {
-            slam: &slam,
-            num_frames,
-        };
-        for listener in listeners {
-            let time = listener.join(run).map(|time| cpu.listening += time);
-            listened = listened.and(time);
-        }
-        let mapped = mapper.join().ok_or(PipelineError::Failed("mapper"));
-        listened.map_err(PipelineError::Listener)?;
-        let (maps, mapping) = mapped?;
-        cpu.mapping = mapping;
-        let map_size = slam.map_size();
-        slam.release();
-        Ok(Finished {
-            map_size,
-            trajectory: slam.trajectory(),
-            poses: slam.snapshot(),
-            slam,
-            maps: Some(maps),
-            cpu,
-            threads: self.threads,
-            map_from_world: self.map_from_world,
-            localise_only: self.localise_only,
-        })
     }
 
     /// Tells everybody what the last call has changed.

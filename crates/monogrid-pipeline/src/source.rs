@@ -5,8 +5,10 @@ use crate::preparation::{Preparation, Preparer, Unusable};
 use crate::shutter::{MAX_WAITING, Rectification, Rectifier};
 use crate::waiting::{Entrance, WaitingFrames};
 use monogrid_image::GrayImage;
+use monogrid_slam::fault;
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
+use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
 use std::thread;
@@ -173,7 +175,8 @@ fn side_by_side(
             }
         }
         drop(stopping);
-        Ok(thread.join().unwrap_or_default())
+        // a panic of the reader goes on here
+        Ok(thread.join().unwrap_or_else(|panic| resume_unwind(panic)))
     })
 }
 
@@ -237,6 +240,7 @@ impl<S: FrameSource> Reader<'_, S> {
             return None;
         }
         let frame = self.source.next_frame()?;
+        fault::pass("reader");
         self.num_read += 1;
         let first = (Instant::now(), frame.timestamp_ns);
         self.first_read.get_or_insert(first);

@@ -1,6 +1,7 @@
 //! The depth filter in parallel over fixed bands of rows.
 
 use crate::TrackingConfig;
+use crate::fault;
 use monogrid_alignment::DepthSample;
 use monogrid_depth::{DepthConfig, DepthMap, FoundDepth, ObserveStats, PixelFilter, StereoFrame};
 use monogrid_geometry::Se3;
@@ -18,7 +19,10 @@ pub(crate) fn observe(
     let per_band: Vec<ObserveStats> = depth
         .bands(BAND_ROWS)
         .into_par_iter()
-        .map(|mut band| band.observe(frames, config))
+        .map(|mut band| {
+            fault::pass("pool");
+            band.observe(frames, config)
+        })
         .collect();
     let mut stats = ObserveStats::default();
     for band in &per_band {

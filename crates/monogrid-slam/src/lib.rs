@@ -15,6 +15,8 @@ use monogrid_geometry::median;
 
 mod config;
 mod depth_step;
+#[doc(hidden)]
+pub mod fault;
 mod fragments;
 mod frame;
 mod graph;

@@ -1,6 +1,7 @@
 //! How a command fails: exit code and message.
 
 use crate::say;
+use monogrid_pipeline::attempt;
 use std::fmt::Display;
 
 /// Why a command did not do its job.
@@ -58,7 +59,7 @@ impl Failure {
 }
 
 /// The error and its causes in one sentence; a cause whose text its parent already contains is not repeated.
-fn render(error: &anyhow::Error) -> String {
+pub fn render(error: &anyhow::Error) -> String {
     let mut text = String::new();
     for cause in error.chain() {
         let cause = cause.to_string();
@@ -80,6 +81,16 @@ impl Outcome {
             Self::Interrupted => 4,
         }
     }
+}
+
+/// Does what a command does; a panic is a failure while running.
+pub fn caught(command: impl FnOnce() -> CommandResult) -> CommandResult {
+    let failed = |message| {
+        Failure::running(format!(
+            "the program failed, which is a fault of its own: {message}"
+        ))
+    };
+    attempt(command).unwrap_or_else(|message| Err(failed(message)))
 }
 
 /// Says why a command failed; its exit code. A command whose result could not be printed has failed.

@@ -4,6 +4,7 @@ pub use crate::say::printable;
 
 use crate::cli::{Cli, Command, EvaluateCommand};
 use crate::config::RunConfig;
+use crate::failure::CommandResult;
 use crate::{batch, commands, failure, memory, usage};
 use monogrid_pipeline::Settings;
 use std::error::Error;
@@ -22,7 +23,11 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Ok(cli) => cli,
         Err(error) => return failure::usage(&error),
     };
-    let result = match &cli.command {
+    failure::exit_code(failure::caught(|| execute(&cli)))
+}
+
+fn execute(cli: &Cli) -> CommandResult {
+    match &cli.command {
         Command::Demo(args) => commands::demo::execute(args),
         Command::Run(args) => commands::run::execute(args),
         Command::Batch(args) => commands::batch::execute(args),
@@ -58,8 +63,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         },
         Command::Completions(args) => commands::shell::completions(args),
         Command::Man(args) => commands::shell::man(args),
-    };
-    failure::exit_code(result)
+    }
 }
 
 /// The settings of a `config.toml`, or the default ones, with changes as `--set` takes them (`mapping.resolution=0.02`).

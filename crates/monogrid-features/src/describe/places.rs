@@ -144,6 +144,9 @@ impl PlaceIndex {
         config: &PlaceConfig,
         is_allowed: impl Fn(u64) -> bool,
     ) -> Vec<PlaceCandidate> {
+        if self.entries.is_empty() {
+            return Vec::new();
+        }
         let allowed = self.places.keys().filter(|place| is_allowed(**place));
         let num_allowed = allowed.count();
         let mut candidates: BTreeMap<u64, PlaceCandidate> = BTreeMap::new();

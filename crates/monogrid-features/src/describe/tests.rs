@@ -35,6 +35,15 @@ fn matches(a: &[Descriptor], b: &[Descriptor]) -> Vec<DescriptorMatch> {
     places.pop().map_or(vec![], |place| place.matches)
 }
 
+#[test]
+fn an_index_without_places_knows_none() {
+    let texture = Texture::new(3);
+    let seen = descriptors(&features(view(&texture, 0.0, 1.0, 1)));
+    assert!(!seen.is_empty());
+    let config = PlaceConfig::default();
+    assert!(PlaceIndex::new().query(&seen, &config, |_| true).is_empty());
+}
+
 /// An image of the texture turned and enlarged about its centre, darker and noisy.
 fn view(texture: &Texture, angle_deg: f64, scale: f64, seed: u64) -> GrayImage {
     let (sin, cos) = angle_deg.to_radians().sin_cos();

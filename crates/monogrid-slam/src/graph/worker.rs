@@ -1,7 +1,9 @@
-//! Runs the work of the graph on a thread of its own.
+//! Runs the work of the graph on a thread of its own. A panic there goes on in the thread that waits for it.
 
 use super::{GraphJob, GraphUpdate, KeyframeGraph, Relocalised};
+use crate::fault;
 use monogrid_image::Pyramid;
+use std::panic::resume_unwind;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
@@ -46,7 +48,10 @@ impl GraphWorker {
             // ends when the system is gone: then either channel is closed
             while let Ok(request) = inbox.recv() {
                 let answered = match request {
-                    Request::Job(job) => outbox.send(threaded.run(*job)).is_ok(),
+                    Request::Job(job) => {
+                        fault::pass("graph");
+                        outbox.send(threaded.run(*job)).is_ok()
+                    }
                     Request::Relocalise(frame) => {
                         place_outbox.send(threaded.relocalise(&frame)).is_ok()
                     }
@@ -71,34 +76,67 @@ impl GraphWorker {
     /// Starts a job; the result of the one before must have been taken.
     pub(crate) fn submit(&mut self, job: GraphJob) {
         match self {
-            Self::Inline { graph, done } => *done = Some(Box::new(graph.run(job))),
+            Self::Inline { graph, done } => {
+                fault::pass("graph");
+                *done = Some(Box::new(graph.run(job)));
+            }
             Self::Threaded { requests, .. } => ask(requests, Request::Job(Box::new(job))),
         }
     }
 
-    /// The result of the job under way, of which there must be one, waiting for it; `None` where the thread has ended.
+    /// The result of the job under way, of which there must be one, waiting for it; `None` once the thread has failed.
+    ///
+    /// # Panics
+    /// With the panic of the thread, once.
     pub(crate) fn take(&mut self) -> Option<GraphUpdate> {
         match self {
             Self::Inline { done, .. } => done.take().map(|update| *update),
-            Self::Threaded { updates, .. } => updates.recv().ok(),
+            Self::Threaded {
+                updates, thread, ..
+            } => match updates.recv() {
+                Ok(update) => Some(update),
+                Err(_) => {
+                    pass_on(thread);
+                    None
+                }
+            },
         }
     }
 
-    /// Where a frame is among the keyframes of all jobs so far, waiting for the answer.
-    pub(crate) fn relocalise(&self, frame: &Arc<Pyramid>) -> Vec<Relocalised> {
+    /// Where a frame is among the keyframes of all jobs so far, waiting for the answer; nowhere once the thread has failed.
+    ///
+    /// # Panics
+    /// With the panic of the thread, once.
+    pub(crate) fn relocalise(&mut self, frame: &Arc<Pyramid>) -> Vec<Relocalised> {
         match self {
             Self::Inline { graph, .. } => graph.relocalise(frame),
             Self::Threaded {
-                requests, places, ..
+                requests,
+                places,
+                thread,
+                ..
             } => {
                 ask(requests, Request::Relocalise(Arc::clone(frame)));
-                places.recv().unwrap_or_default()
+                match places.recv() {
+                    Ok(found) => found,
+                    Err(_) => {
+                        pass_on(thread);
+                        Vec::new()
+                    }
+                }
             }
         }
     }
 }
 
-/// Where the thread has ended, nobody hears of it, and there is no answer.
+/// Goes on with the panic of a thread that has ended before it was asked to.
+fn pass_on(thread: &mut Option<JoinHandle<()>>) {
+    if let Some(Err(panic)) = thread.take().map(JoinHandle::join) {
+        resume_unwind(panic);
+    }
+}
+
+/// A thread that has failed is noticed by whoever waits for its answer.
 fn ask(requests: &Option<Sender<Request>>, request: Request) {
     let _ = requests.as_ref().map(|requests| requests.send(request));
 }
@@ -120,7 +158,7 @@ impl Drop for GraphWorker {
         {
             requests.take();
             if let Some(thread) = thread.take() {
-                // a panic there has been reported there; nothing is left to do here
+                // nobody waits for what it does any more, and a panic while another goes on would end the process
                 let _ = thread.join();
             }
         }

@@ -16,12 +16,14 @@ use super::posed::{Neighbour, PosedKeyframe, Scene};
 use super::scan::{Depths, KeptDepths};
 use super::{KeyframeCamera, KeyframeScan, MappingConfig, RefineConfig};
 use crate::DepthPixel;
+use crate::fault;
 use crate::median::median;
 use crate::store::{Kept, Store};
 use monogrid_depth::{DenseDepth, PixelDepth, SourceView, epipolar_misfits, refine_depth};
 use monogrid_geometry::Sim3;
 use monogrid_image::Image;
 use std::borrow::Cow;
+use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
@@ -264,7 +266,8 @@ pub fn refined_depths(
     })
 }
 
-/// Results of independent work in their order, on several threads: each takes the next that nobody has begun.
+/// Results of independent work in their order, on several threads: each takes the next that nobody has begun. A panic
+/// of one of them goes on in the caller.
 pub(super) fn for_each_keyframe<T: Send>(
     count: usize,
     threads: usize,
@@ -275,6 +278,7 @@ pub(super) fn for_each_keyframe<T: Send>(
     let of_thread = || {
         let begun = std::iter::repeat_with(|| next.fetch_add(1, Ordering::Relaxed));
         for index in begun.take_while(|index| *index < count) {
+            fault::pass("depth");
             let result = work(index);
             *results[index]
                 .lock()
@@ -285,14 +289,17 @@ pub(super) fn for_each_keyframe<T: Send>(
         let others = (1..threads.min(count)).map(|_| scope.spawn(of_thread));
         let others: Vec<_> = others.collect();
         of_thread();
-        others.into_iter().for_each(|other| drop(other.join()));
+        for other in others {
+            if let Err(panic) = other.join() {
+                resume_unwind(panic);
+            }
+        }
     });
-    // what a thread had that failed: again, here
-    let results = results.into_iter().enumerate().map(|(index, result)| {
-        let result = result.into_inner().unwrap_or_else(PoisonError::into_inner);
-        result.unwrap_or_else(|| work(index))
-    });
-    results.collect()
+    // all of them are there: no thread has failed
+    let results = results.into_iter();
+    results
+        .filter_map(|result| result.into_inner().unwrap_or_else(PoisonError::into_inner))
+        .collect()
 }
 
 /// Depths of one keyframe, refined by the others; as they were without an image.

@@ -90,8 +90,8 @@ impl GraphLink {
     }
 
     /// Keyframes that a frame shows, by appearance, the most certain first. No job may be under way.
-    pub(super) fn recognise(&self, frame: &Arc<Pyramid>) -> Vec<Relocalised> {
-        let worker = self.worker.as_ref();
+    pub(super) fn recognise(&mut self, frame: &Arc<Pyramid>) -> Vec<Relocalised> {
+        let worker = self.worker.as_mut();
         worker.map_or_else(Vec::new, |worker| worker.relocalise(frame))
     }
 }

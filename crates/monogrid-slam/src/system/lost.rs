@@ -45,7 +45,7 @@ impl Slam {
             return None;
         }
         self.await_graph();
-        let found = self.graph.as_ref()?.recognise(&frame.pyramid);
+        let found = self.graph.as_mut()?.recognise(&frame.pyramid);
         self.relocalise(&found, frame)
     }
 

@@ -272,8 +272,9 @@ fn joined(events: &[Event]) -> Vec<FragmentId> {
 mod tests {
     use super::Effort;
     use crate::test_world::small_demo;
-    use crate::{FrameInput, FrameReport, RefinementConfig, Slam, SlamConfig};
-    use monogrid_image::Mask;
+    use crate::{FrameInput, FrameReport, RefinementConfig, Slam, SlamConfig, TrackingState};
+    use monogrid_geometry::{Rng, Se3};
+    use monogrid_image::{GrayImage, Mask};
 
     const FRAMES: usize = 10;
 
@@ -365,6 +366,41 @@ mod tests {
         });
         assert!(refined.0 * 4 <= refined.1, "{refined:?}");
         assert!(whole.0 > refined.0, "{whole:?} {refined:?}");
+    }
+
+    /// What becomes of frames of which those from the third on show another place, on so many threads.
+    fn lost_at_once(threads: usize) -> Vec<(TrackingState, Option<Se3>)> {
+        let elsewhere = |k: usize| {
+            let mut words = Rng::new(k as u64);
+            let camera = small_demo().camera();
+            let grey: Vec<u8> = (0..camera.width * camera.height)
+                .map(|_| words.next_u64() as u8)
+                .collect();
+            GrayImage::from_gray8(camera.width, camera.height, &grey).unwrap()
+        };
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+        pool.build().unwrap().install(|| {
+            let mut slam = slam(RefinementConfig::default());
+            let report = |k: usize| {
+                let mut frame = input(k, 1);
+                if k >= 3 {
+                    frame.image = elsewhere(k);
+                }
+                let report = slam.process_frame(frame);
+                (report.state, report.world_from_camera)
+            };
+            (0..15).map(report).collect()
+        })
+    }
+
+    #[test]
+    fn a_camera_that_is_lost_before_any_place_is_known_stays_lost_on_any_number_of_threads() {
+        let reports = lost_at_once(1);
+        let is_lost = |(state, _): &(TrackingState, _)| *state == TrackingState::Lost;
+        assert!(!reports[..3].iter().any(is_lost));
+        assert!(reports[3..].iter().all(is_lost));
+        assert_eq!(lost_at_once(2), reports);
+        assert_eq!(lost_at_once(8), reports);
     }
 
     #[test]

@@ -51,6 +51,9 @@ pub fn verdict(summary: &Summary, tracked: &Tracked) -> String {
         Status::Lost => format!(
             "Tracking was lost for good; {share} % of the frames have a pose, and what was mapped until then is saved."
         ),
+        Status::Failed => format!(
+            "A part of the program failed; {share} % of the frames until then have a pose."
+        ),
         Status::Unreadable => format!(
             "The images became unreadable; {share} % of the frames until then have a pose."
         ),

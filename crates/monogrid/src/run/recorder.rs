@@ -16,7 +16,7 @@ use monogrid_datasets::{
     RecordingWriter, SessionInfo, encode_png, encode_png_rgb,
 };
 use monogrid_pipeline::{Event, Listener, ListenerError, Run};
-use monogrid_slam::{KeptKeyframe, Keyframe};
+use monogrid_slam::{KeptKeyframe, Keyframe, fault};
 use std::sync::Arc;
 
 /// Folder with pictures of the keyframes.
@@ -121,6 +121,7 @@ impl Recorder {
 
 impl Listener for Recorder {
     fn hear(&mut self, event: &Event) -> Result<(), ListenerError> {
+        fault::pass("recorder");
         let saved = self.save(event).map_err(Failure::into_error);
         if let Event::Finished(..) = event {
             // what was made with it and dropped lies between what stays

@@ -12,7 +12,7 @@ use crate::input::Input;
 use crate::output::OutputFolder;
 use crate::usage::process_cpu;
 use monogrid_datasets::SessionInfo;
-use monogrid_pipeline::{Finished, Pipeline, Reading, Settings, read_ahead};
+use monogrid_pipeline::{Finished, Pipeline, Reading, Settings, attempt, read_ahead};
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -81,8 +81,14 @@ pub fn track(
     let colours = frame_colours.as_deref();
     let mut tracking = Tracking::begin((pipeline, viewer, colours), settings, places, interrupted);
     let source = input.source(colours);
-    let reading = read_ahead(source, &input.preparation, reading, |f| tracking.take(f));
-    let reading = reading.while_running("frames cannot be read")?;
+    let take = |frame| tracking.take(frame);
+    let reading = match attempt(|| read_ahead(source, &input.preparation, reading, take)) {
+        Ok(reading) => reading.while_running("frames cannot be read")?,
+        Err(message) => {
+            tracking.fail(&message);
+            Duration::ZERO
+        }
+    };
     tracking.finish(reading, process_before)
 }
 

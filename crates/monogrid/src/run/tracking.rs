@@ -7,7 +7,7 @@ use super::live::Viewer;
 use super::progress::Progress;
 use super::threads::{CpuTimes, Tracked};
 use crate::doubts::CalibrationCheck;
-use crate::failure::Failure;
+use crate::failure::{Failure, render};
 use crate::frame_colours::FrameColours;
 use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
 use crate::memory;
@@ -17,7 +17,7 @@ use monogrid_image::GrayImage;
 use monogrid_pipeline::{
     Event, Pace, Pipeline, PipelineError, ReadFrame, ReadOn, Rectification, Unusable,
 };
-use monogrid_slam::{Effort, FrameInput, Slam};
+use monogrid_slam::{Effort, FrameInput, Slam, fault};
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -30,6 +30,8 @@ pub enum EarlyEnd {
     Interrupted,
     /// Too many frames in a row were unreadable; the reason of the last.
     Unreadable(String),
+    /// A part of the program failed, and why.
+    Failed(String),
 }
 
 /// Between frames that follow each other lies no more than this, ns.
@@ -84,6 +86,10 @@ impl<'a> Tracking<'a> {
     pub fn take(&mut self, frame: ReadFrame) -> ControlFlow<(), ReadOn> {
         if self.interrupted.load(Ordering::Relaxed) {
             self.early_end = Some(EarlyEnd::Interrupted);
+            return ControlFlow::Break(());
+        }
+        if self.pipeline.failed_thread().is_some() {
+            // why is known when it is joined
             return ControlFlow::Break(());
         }
         let shown = match (&mut self.viewer, &frame.image) {
@@ -182,6 +188,7 @@ impl<'a> Tracking<'a> {
             seed_depth,
         };
         let mut posed = None;
+        fault::pass("tracking");
         let report = self.pipeline.track_telling(frame, &mut |_| {
             let now = Instant::now();
             posed = Some(now);
@@ -234,6 +241,11 @@ impl<'a> Tracking<'a> {
         }
     }
 
+    /// Tracking has panicked: nothing more comes of it.
+    pub fn fail(&mut self, message: &str) {
+        self.early_end = Some(EarlyEnd::Failed(message.to_owned()));
+    }
+
     /// After the last frame: everything that was found. Given the CPU time of the reader, and of the process before the first frame.
     pub fn finish(
         mut self,
@@ -254,9 +266,14 @@ impl<'a> Tracking<'a> {
             limit.squeeze(self.pipeline.slam());
         }
         let seen = (self.pipeline.slam(), &self.shutter.taken_out);
-        let left_radial = self.calibration.left_radial(seen);
-        let mut doubts = self.calibration.end(seen, share);
-        doubts.extend(self.shutter.conclusion());
+        let mut doubts = Vec::new();
+        let mut left_radial = None;
+        // what has failed says nothing of the camera
+        if !matches!(self.early_end, Some(EarlyEnd::Failed(_))) {
+            left_radial = self.calibration.left_radial(seen);
+            doubts = self.calibration.end(seen, share);
+            doubts.extend(self.shutter.conclusion());
+        }
         if let Some(radial) = left_radial {
             self.pipeline.take_left_radial(radial);
             doubts.push(format!(
@@ -272,10 +289,16 @@ impl<'a> Tracking<'a> {
             }
         };
         let run = self.pipeline.finish_telling(&mut released);
-        let run = run.map_err(|error| match error {
-            PipelineError::Listener(error) => Failure::Running(anyhow::Error::from_boxed(error)),
-            error => Failure::running(error),
-        })?;
+        let mut run = run.map_err(Failure::running)?;
+        let failed = run.failure.take().map(|failure| match failure {
+            PipelineError::Listener(error) => render(&anyhow::Error::from_boxed(error)),
+            error => error.to_string(),
+        });
+        // what failed first is the reason
+        let early_end = match self.early_end {
+            Some(EarlyEnd::Failed(first)) => Some(EarlyEnd::Failed(first)),
+            other => failed.map(EarlyEnd::Failed).or(other),
+        };
         let others = reading + run.cpu.listening + run.cpu.mapping;
         Ok(Tracked {
             rows,
@@ -286,7 +309,7 @@ impl<'a> Tracking<'a> {
                 recording: run.cpu.listening,
             },
             run,
-            early_end: self.early_end,
+            early_end,
             doubts,
             readout_ms: self.shutter.wanted_ms,
         })

@@ -22,6 +22,7 @@ use crate::usage::{peak_rss_bytes, process_cpu};
 use monogrid_datasets::TimedPose;
 use monogrid_evaluation::{DepthReport, MapReport};
 use monogrid_geometry::{Pinhole, Se3, Sim3, Vec3};
+use monogrid_pipeline::attempt;
 use monogrid_slam::mapping::{
     ImageOf, KeyframeCamera, KeyframeScan, Maps, SceneCell, UprightView, scene_cell,
 };
@@ -70,7 +71,7 @@ pub fn run_all(
     let config = settings.config.to_toml()?;
     folder.write("config.toml", &config)?;
     let mut tracked = track(input, folder, settings, &INTERRUPTED)?;
-    let scans = final_depth(&mut tracked, settings.memory_limit, settings.show_progress);
+    let scans = final_depth(&mut tracked, settings);
     let mut looked = Looked::at(&tracked, &scans, align, input, settings);
     let (known, not_compared) = known_path(input, align, &tracked, &mut looked.frame);
     let poses = outputs::final_poses(&tracked, &looked.frame);
@@ -328,13 +329,9 @@ impl Reference {
     }
 }
 
-/// The final depth of the keyframes.
-fn final_depth(
-    tracked: &mut Tracked,
-    limit: Option<MemoryLimit>,
-    show_progress: bool,
-) -> Vec<KeyframeScan> {
-    let before = process_cpu();
+/// The final depth of the keyframes; that of the filter where making it better has failed.
+fn final_depth(tracked: &mut Tracked, settings: &RunSettings) -> Vec<KeyframeScan> {
+    let (limit, before) = (settings.memory_limit, process_cpu());
     match limit {
         Some(limit) => limit.apply(&tracked.run.slam),
         None => memory::give_back(),
@@ -348,8 +345,15 @@ fn final_depth(
             limit.apply_to(&keyframes);
         }
     };
-    let scans = watched(("final depth", count), show_progress, look, |done| {
-        tracked.run.final_scans(done)
+    let what = ("final depth", count);
+    let made = attempt(|| {
+        let work = |done: &AtomicUsize| tracked.run.final_scans(done);
+        watched(what, settings.show_progress, look, work)
+    });
+    let scans = made.unwrap_or_else(|message| {
+        let failed = EarlyEnd::Failed(format!("the final depth failed: {message}"));
+        tracked.early_end = Some(failed);
+        tracked.run.filter_scans()
     });
     tracked.cpu.mapping += process_cpu() - before;
     leave_room(tracked, limit);
@@ -450,6 +454,9 @@ fn final_maps(
 
 fn early_failure(tracked: &Tracked) -> Option<String> {
     match &tracked.early_end {
+        Some(EarlyEnd::Failed(reason)) => {
+            Some(format!("{reason}; what was mapped until then is saved"))
+        }
         Some(EarlyEnd::Unreadable(reason)) => Some(format!(
             "{MAX_UNREADABLE_IN_A_ROW} images in a row cannot be used, the last because: {reason}"
         )),

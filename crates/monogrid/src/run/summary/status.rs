@@ -28,6 +28,8 @@ pub enum Status {
     Fragment,
     /// Too many images in a row could not be read.
     Unreadable,
+    /// A part of the program failed; what was mapped until then is there.
+    Failed,
 }
 
 impl Status {
@@ -36,6 +38,7 @@ impl Status {
         match &tracked.early_end {
             Some(EarlyEnd::Interrupted) => Self::Interrupted,
             Some(EarlyEnd::Unreadable(_)) => Self::Unreadable,
+            Some(EarlyEnd::Failed(_)) => Self::Failed,
             _ if tracked.run.slam.num_keyframes() == 0 => Self::NotInitialised,
             _ if settings.continued.is_some() && tracked.run.trajectory.is_empty() => {
                 Self::NotRecognised
@@ -56,7 +59,7 @@ impl Status {
             }
             Self::Interrupted => Outcome::Interrupted,
             // said as a failure
-            Self::Done | Self::Unreadable => Outcome::Done,
+            Self::Done | Self::Unreadable | Self::Failed => Outcome::Done,
         }
     }
 }
