@@ -83,7 +83,7 @@ pub fn track(
     let source = input.source(colours);
     let reading = read_ahead(source, &input.preparation, reading, |f| tracking.take(f));
     let reading = reading.while_running("frames cannot be read")?;
-    tracking.finish(reading, process_before)
+    tracking.finish(reading + input.reading_cpu(), process_before)
 }
 
 /// Shows the run while it goes on, if that is wanted.

@@ -28,8 +28,10 @@ use std::time::{Duration, Instant};
 pub enum EarlyEnd {
     /// The user interrupted it.
     Interrupted,
-    /// Too many frames in a row were unreadable; the reason of the last.
-    Unreadable(String),
+    /// So many frames in a row were unreadable, too many or all that there are; the reason of the last.
+    Unreadable(usize, String),
+    /// The source could not be read any further, and why.
+    BrokeOff(String),
 }
 
 /// Between frames that follow each other lies no more than this, ns.
@@ -44,6 +46,8 @@ pub struct Tracking<'a> {
     /// Finished keyframes.
     num_keyframes: usize,
     unreadable_in_a_row: usize,
+    /// Whether no frame could be read yet.
+    is_none_readable: bool,
     early_end: Option<EarlyEnd>,
     calibration: CalibrationCheck<'a>,
     shutter: ShutterSearch,
@@ -70,6 +74,7 @@ impl<'a> Tracking<'a> {
             interrupted,
             rows: FrameLog::begin(folder),
             unreadable_in_a_row: 0,
+            is_none_readable: true,
             early_end: None,
             calibration: CalibrationCheck::new(input, settings.pace == Pace::Taken),
             shutter: ShutterSearch::new(input),
@@ -84,6 +89,10 @@ impl<'a> Tracking<'a> {
     pub fn take(&mut self, frame: ReadFrame) -> ControlFlow<(), ReadOn> {
         if self.interrupted.load(Ordering::Relaxed) {
             self.early_end = Some(EarlyEnd::Interrupted);
+            return ControlFlow::Break(());
+        }
+        if let Some(Err(Unusable::BrokeOff(reason))) = frame.image {
+            self.early_end = Some(EarlyEnd::BrokeOff(reason));
             return ControlFlow::Break(());
         }
         let shown = match (&mut self.viewer, &frame.image) {
@@ -223,12 +232,13 @@ impl<'a> Tracking<'a> {
             FrameFate::Skipped(reason) => {
                 self.unreadable_in_a_row += 1;
                 (self.unreadable_in_a_row >= MAX_UNREADABLE_IN_A_ROW)
-                    .then(|| EarlyEnd::Unreadable(reason.clone()))
+                    .then(|| EarlyEnd::Unreadable(self.unreadable_in_a_row, reason.clone()))
             }
             // it was not read
             FrameFate::Dropped => None,
             FrameFate::Processed(_) | FrameFate::BeforeSeed | FrameFate::Repeated => {
                 self.unreadable_in_a_row = 0;
+                self.is_none_readable = false;
                 None
             }
         }
@@ -242,6 +252,16 @@ impl<'a> Tracking<'a> {
     ) -> Result<Tracked, Failure> {
         self.progress.finish();
         let rows = self.rows.finish()?;
+        if self.early_end.is_none() {
+            self.early_end = match rows.last().map(|row| &row.fate) {
+                // the source ended because of it
+                _ if self.interrupted.load(Ordering::Relaxed) => Some(EarlyEnd::Interrupted),
+                Some(FrameFate::Skipped(reason)) if self.is_none_readable => {
+                    Some(EarlyEnd::Unreadable(rows.len(), reason.clone()))
+                }
+                _ => None,
+            };
+        }
         let poses = rows
             .iter()
             .filter_map(|row| row.report()?.world_from_camera);

@@ -28,6 +28,8 @@ pub enum Status {
     Fragment,
     /// Too many images in a row could not be read.
     Unreadable,
+    /// The source could not be read to its end: it vanished, stalled, or was cut.
+    BrokeOff,
 }
 
 impl Status {
@@ -35,7 +37,8 @@ impl Status {
     pub fn of(tracked: &Tracked, settings: &RunSettings) -> Self {
         match &tracked.early_end {
             Some(EarlyEnd::Interrupted) => Self::Interrupted,
-            Some(EarlyEnd::Unreadable(_)) => Self::Unreadable,
+            Some(EarlyEnd::Unreadable(..)) => Self::Unreadable,
+            Some(EarlyEnd::BrokeOff(_)) => Self::BrokeOff,
             _ if tracked.run.slam.num_keyframes() == 0 => Self::NotInitialised,
             _ if settings.continued.is_some() && tracked.run.trajectory.is_empty() => {
                 Self::NotRecognised
@@ -56,7 +59,7 @@ impl Status {
             }
             Self::Interrupted => Outcome::Interrupted,
             // said as a failure
-            Self::Done | Self::Unreadable => Outcome::Done,
+            Self::Done | Self::Unreadable | Self::BrokeOff => Outcome::Done,
         }
     }
 }
