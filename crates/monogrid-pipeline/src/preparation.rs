@@ -25,6 +25,9 @@ pub enum Unusable {
     /// It cannot be decoded, and why.
     #[error("{0}")]
     Unreadable(String),
+    /// There is no frame: the source cannot be read any further, and why. It is the last that it says.
+    #[error("{0}")]
+    BrokeOff(String),
     /// It has another size than the calibration.
     #[error("image is {}x{} pixels, expected {}x{}", found.0, found.1, expected.0, expected.1)]
     Size {

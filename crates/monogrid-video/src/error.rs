@@ -61,6 +61,33 @@ pub enum VideoError {
         /// Why not.
         reason: String,
     },
+    /// It sent nothing that is whole for longer than it may take.
+    #[error(
+        "{video:?} has sent no whole frame for {seconds} s: found silence or less than a frame, expected at least \
+         one; check the sender and the network, or allow more time"
+    )]
+    Stalled {
+        /// The address, pipe, file or camera.
+        video: String,
+        /// How long it was waited for.
+        seconds: f64,
+    },
+    /// Whoever waited for it stopped waiting.
+    #[error("waiting for {video:?} was interrupted")]
+    Interrupted {
+        /// What was waited for.
+        video: String,
+    },
+    /// A stream that broke off within an image, or the program that decodes it within its work.
+    #[error("{video:?} broke off after {frames} frames: {reason}")]
+    BrokeOff {
+        /// The address or file.
+        video: String,
+        /// Frames before.
+        frames: usize,
+        /// What was found, and what would have been the regular end.
+        reason: String,
+    },
     /// A recording that cannot be read.
     #[error(transparent)]
     Recording(#[from] monogrid_bags::BagError),

@@ -4,11 +4,12 @@
 //! standard error when each frame is shown, which YUV4MPEG2 cannot carry. Both come in the order of
 //! frames, so the n-th time belongs to the n-th frame.
 
+use crate::program::Program;
 use crate::turn::Turn;
 use crate::y4m::Y4mReader;
 use crate::{Opened, VideoError, VideoFrame};
 use std::io::{BufRead, BufReader};
-use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
+use std::process::{ChildStderr, ChildStdout, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::JoinHandle;
 
@@ -28,21 +29,48 @@ const FILTER: &str =
 /// Longest message that is kept, characters.
 const MAX_MESSAGE: usize = 300;
 
+/// What may be opened for a file: itself alone. A playlist would otherwise name other files of this computer.
+const PROTOCOLS_OF_FILES: &str = "file";
+
+/// What may be opened for an address: others on the network, for playlists and what they point to, and never a file.
+const PROTOCOLS_OF_ADDRESSES: &str = "http,https,httpproxy,tls,tcp,udp,udplite,rtp,srtp,rtmp,rtmps,rtmpt,rtmpts,srt,mmsh,mmst,ftp,crypto,data";
+
+/// Containers and coded streams as they are. Left out are all that name other files (playlists, scripts, numbered images) or no file
+/// (devices, sources of filters).
+const FORMATS: &str = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg,mpegvideo,m4v,flv,live_flv,asf,asf_o,ogg,mxf,gxf,nut,\
+rm,ivf,obu,av1,h261,h263,h264,hevc,vvc,vc1,vc1test,dirac,cavsvideo,avs2,avs3,mjpeg,mjpeg_2000,yuv4mpegpipe,dv,wtv,nsv,nuv,smjpeg,\
+mpjpeg,gif,apng,webp_pipe,swf,dxa,fli,roq,vivo,4xm,dhav,lmlm4,r3d,ffm,kux,xmv";
+
+/// Those of streams, whose parts are named by what was fetched before.
+const FORMATS_OF_ADDRESSES: &str = "rtsp,sdp,rtp,hls,applehttp,dash,aac,mp3,ac3,eac3,webvtt,sap";
+
+/// Schemes whose connections take a limit of their own. RTSP has one under another name in each version of ffmpeg; it ends with
+/// the thread that reads.
+const LIMITED_SCHEMES: [&str; 6] = ["http", "https", "rtmp", "rtmps", "tcp", "tls"];
+
+/// How long such a connection may be silent: longer than is usually waited for, which has the better message.
+const SILENCE_US: &str = "60000000";
+
 /// Starts ffmpeg on a file or address; `found` says why it is not decoded here.
-pub(crate) fn open(name: &str, found: &str) -> Result<Opened, VideoError> {
+pub(crate) fn open(name: &str, found: &str, program: &Program) -> Result<Opened, VideoError> {
     let live = name.contains("://");
-    let mut child = command(name, live).spawn().map_err(|e| match e.kind() {
+    let pipes = program.start(&mut command(name, live), |child| {
+        (child.stdout.take(), child.stderr.take())
+    });
+    let (stdout, stderr) = pipes.map_err(|e| match e.kind() {
         std::io::ErrorKind::NotFound => VideoError::NeedsFfmpeg {
             video: name.to_owned(),
             found: found.to_owned(),
         },
+        std::io::ErrorKind::Interrupted => VideoError::Interrupted {
+            video: name.to_owned(),
+        },
         _ => VideoError::io("ffmpeg", e),
     })?;
-    let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
     let (messages, said) = listen(stderr)?;
     let mut process = Process {
         name: name.to_owned(),
-        child,
+        program: program.clone(),
         messages: Some(messages),
     };
     let stdout = stdout.ok_or_else(|| process.failure())?;
@@ -56,6 +84,7 @@ pub(crate) fn open(name: &str, found: &str) -> Result<Opened, VideoError> {
         turn,
         frames: Box::new(FfmpegFrames {
             frames,
+            num_frames: 0,
             first_ns,
             said,
             process,
@@ -66,11 +95,21 @@ pub(crate) fn open(name: &str, found: &str) -> Result<Opened, VideoError> {
 fn command(name: &str, live: bool) -> Command {
     let mut command = Command::new("ffmpeg");
     command.args(["-hide_banner", "-nostats", "-loglevel", "info", "-nostdin"]);
-    if name.starts_with("rtsp://") {
+    let scheme = name.split("://").next().unwrap_or_default();
+    if scheme == "rtsp" {
         command.args(["-rtsp_transport", "tcp"]);
+    }
+    if live && LIMITED_SCHEMES.contains(&scheme) {
+        command.args(["-rw_timeout", SILENCE_US]);
     }
     if live {
         command.args(["-fflags", "nobuffer", "-flags", "low_delay"]);
+        command.args(["-protocol_whitelist", PROTOCOLS_OF_ADDRESSES]);
+        let formats = format!("{FORMATS},{FORMATS_OF_ADDRESSES}");
+        command.args(["-format_whitelist", &formats]);
+    } else {
+        command.args(["-protocol_whitelist", PROTOCOLS_OF_FILES]);
+        command.args(["-format_whitelist", FORMATS]);
     }
     // `file:` so that a name with a colon is not taken for an address
     let input = if live {
@@ -124,23 +163,34 @@ fn before_the_first_frame(said: &Receiver<Said>) -> (Turn, Option<i64>) {
 fn listen(stderr: Option<ChildStderr>) -> Result<(JoinHandle<String>, Receiver<Said>), VideoError> {
     let (sender, said) = channel();
     let read = move || {
-        let mut last_words = String::new();
+        let (mut last_words, mut refused) = (String::new(), None);
         let lines = stderr.into_iter().flat_map(|e| BufReader::new(e).lines());
         for line in lines.map_while(Result::ok) {
             match Said::of(&line) {
                 // nobody listens any more: the rest is still read, or ffmpeg would wait
                 Some(said) => drop(sender.send(said)),
+                None if line.contains("on whitelist") => refused = Some(refusal(&line)),
                 None if !line.contains("showinfo") => last_words = line,
                 None => {}
             }
         }
-        last_words.chars().take(MAX_MESSAGE).collect()
+        let message = refused.unwrap_or(last_words);
+        message.chars().take(MAX_MESSAGE).collect()
     };
     let thread = std::thread::Builder::new().name("ffmpeg messages".into());
     let messages = thread
         .spawn(read)
         .map_err(|e| VideoError::io("ffmpeg", e))?;
     Ok((messages, said))
+}
+
+/// What a line says that tells of a format or protocol that is not allowed: `[hls @ 0x55] Format not on whitelist 'mov,...'`.
+fn refusal(line: &str) -> String {
+    let what = line.trim_start_matches('[').split([' ', ']']).next();
+    let what = what.unwrap_or_default();
+    format!(
+        "found {what}, which may name other files (a playlist, a script, a device), expected a single video"
+    )
 }
 
 /// The time in a line of `showinfo`, nanoseconds: `... n:   3 pts:   1501 pts_time:0.0500333 ...`.
@@ -162,14 +212,14 @@ fn turned_degrees(line: &str) -> Option<f64> {
 /// The running program; it is ended when this is dropped.
 struct Process {
     name: String,
-    child: Child,
+    program: Program,
     messages: Option<JoinHandle<String>>,
 }
 
 impl Process {
     /// Why it ended, in its own words.
     fn failure(&mut self) -> VideoError {
-        drop(self.child.kill());
+        self.program.finish();
         let message = self.messages.take().and_then(|m| m.join().ok());
         let message = message.filter(|message| !message.is_empty());
         VideoError::Ffmpeg {
@@ -177,17 +227,30 @@ impl Process {
             message: message.unwrap_or_else(|| "it wrote no frame".to_owned()),
         }
     }
+
+    /// What there is to say when it writes no more, after so many frames: nothing where it ended as it should.
+    fn end(&mut self, num_frames: usize) -> Option<VideoError> {
+        let status = self.program.wait();
+        if status.is_none_or(|status| status.success()) {
+            return None;
+        }
+        Some(VideoError::BrokeOff {
+            video: self.name.clone(),
+            frames: num_frames,
+            reason: self.failure().to_string(),
+        })
+    }
 }
 
 impl Drop for Process {
     fn drop(&mut self) {
-        drop(self.child.kill());
-        drop(self.child.wait());
+        self.program.finish();
     }
 }
 
 struct FfmpegFrames {
     frames: Y4mReader<BufReader<ChildStdout>>,
+    num_frames: usize,
     /// Time of the first frame until it is read.
     first_ns: Option<i64>,
     said: Receiver<Said>,
@@ -203,10 +266,14 @@ impl Iterator for FfmpegFrames {
             Said::Turned(_) => None,
         };
         let next_ns = || self.said.iter().find_map(shown);
+        let Some(frame) = self.frames.next() else {
+            return self.process.end(self.num_frames).map(Err);
+        };
         // no time where ffmpeg has ended
-        if let Ok(frame) = self.frames.next()?
+        if let Ok(frame) = frame
             && let Some(timestamp_ns) = self.first_ns.take().or_else(next_ns)
         {
+            self.num_frames += 1;
             return Some(Ok(VideoFrame {
                 timestamp_ns,
                 ..frame
@@ -218,7 +285,7 @@ impl Iterator for FfmpegFrames {
 
 #[cfg(test)]
 mod tests {
-    use super::{Said, before_the_first_frame, shown_ns};
+    use super::{Said, before_the_first_frame, refusal, shown_ns};
     use crate::turn::Turn;
     use std::sync::mpsc::channel;
 
@@ -240,6 +307,12 @@ mod tests {
         assert_eq!(before, (Turn::Quarter, Some(500_000_000)));
         assert_eq!(said.recv(), Ok(Said::Shown(600_000_000)));
         assert_eq!(before_the_first_frame(&said), (Turn::None, None));
+    }
+
+    #[test]
+    fn what_is_refused_is_named() {
+        let said = refusal("[hls @ 0x55] Format not on whitelist 'mov,mp4'");
+        assert!(said.starts_with("found hls, which"), "{said}");
     }
 
     #[test]

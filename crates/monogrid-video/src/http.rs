@@ -3,12 +3,9 @@
 use crate::error::endless_header;
 use crate::turn::Turn;
 use crate::{Opened, VideoError, VideoFrame, jpeg_frame};
-use std::io::{BufRead, BufReader, Error, ErrorKind, Read, Write};
-use std::net::{TcpStream, ToSocketAddrs};
-use std::time::{Duration, Instant};
-
-/// How long a server may be silent.
-const TIMEOUT: Duration = Duration::from_secs(10);
+use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
+use std::net::TcpStream;
+use std::time::Instant;
 
 /// Longest line of a header, bytes.
 const MAX_LINE: u64 = 8192;
@@ -16,7 +13,7 @@ const MAX_LINE: u64 = 8192;
 /// Most lines of a header.
 const MAX_LINES: usize = 100;
 
-/// Longest image, bytes.
+/// Longest image, bytes: 32 MiB.
 const MAX_IMAGE_BYTES: u64 = 1 << 25;
 
 /// Asks for a stream; `None` when the server answers with something else than MJPEG.
@@ -36,7 +33,8 @@ pub(crate) fn open(address: &str) -> Result<Option<Opened>, VideoError> {
     } else {
         format!("{host}:80")
     };
-    let mut stream = connect(&target).map_err(io)?;
+    // how long it may take is for those to say who wait for its frames
+    let mut stream = TcpStream::connect(&target).map_err(io)?;
     let path = if path.is_empty() { "/" } else { path };
     // 1.0: the answer may not come in chunks
     let request = format!(
@@ -68,31 +66,28 @@ pub(crate) fn open(address: &str) -> Result<Option<Opened>, VideoError> {
     }))
 }
 
-fn connect(target: &str) -> std::io::Result<TcpStream> {
-    let no_host = || Error::new(ErrorKind::AddrNotAvailable, "no such host");
-    let address = target.to_socket_addrs()?.next().ok_or_else(no_host)?;
-    let stream = TcpStream::connect_timeout(&address, TIMEOUT)?;
-    stream.set_read_timeout(Some(TIMEOUT))?;
-    stream.set_write_timeout(Some(TIMEOUT))?;
-    Ok(stream)
-}
-
 /// The lines up to the first empty one.
 fn read_header(reader: &mut impl BufRead) -> std::io::Result<Vec<String>> {
     let mut lines = Vec::new();
     while lines.len() < MAX_LINES {
-        let mut line = Vec::new();
-        let mut limited = reader.by_ref().take(MAX_LINE);
-        if limited.read_until(b'\n', &mut line)? == 0 {
+        let (line, is_whole) = read_line(reader)?;
+        if !is_whole {
             return Err(ErrorKind::UnexpectedEof.into());
         }
-        let line = String::from_utf8_lossy(&line).trim().to_owned();
         if line.is_empty() {
             return Ok(lines);
         }
         lines.push(line);
     }
     Err(endless_header())
+}
+
+/// A line without the space around it, or the beginning of a very long one; and whether the stream goes on after it.
+fn read_line(reader: &mut impl BufRead) -> std::io::Result<(String, bool)> {
+    let mut line = Vec::new();
+    reader.take(MAX_LINE).read_until(b'\n', &mut line)?;
+    let is_whole = line.ends_with(b"\n") || line.len() as u64 == MAX_LINE;
+    Ok((String::from_utf8_lossy(&line).trim().to_owned(), is_whole))
 }
 
 /// The value of a header line, in lower case.
@@ -110,36 +105,88 @@ struct MjpegFrames<R> {
     frame: usize,
 }
 
-impl<R: BufRead> MjpegFrames<R> {
-    /// The bytes of the next image: of the length in its header, or up to the JPEG's end marker.
-    fn next_image(&mut self) -> std::io::Result<Vec<u8>> {
-        // the boundary may stand alone or as the first line of a header
-        let mut header = read_header(&mut self.reader)?;
-        while value(&header, "content-type").is_none() {
-            header = read_header(&mut self.reader)?;
-        }
-        let mut image = Vec::new();
-        let length: Option<u64> = value(&header, "content-length").and_then(|v| v.parse().ok());
-        match length {
-            Some(bytes) if bytes <= MAX_IMAGE_BYTES => {
-                self.reader.by_ref().take(bytes).read_to_end(&mut image)?;
-                if (image.len() as u64) < bytes {
-                    return Err(ErrorKind::UnexpectedEof.into());
-                }
-            }
-            _ => self.read_to_end_marker(&mut image)?,
-        }
-        Ok(image)
+/// What follows in a stream.
+enum Next {
+    Image(Vec<u8>),
+    /// The server has closed the stream between two images.
+    End,
+    /// Why there can be no more.
+    Broken(String),
+}
+
+impl Next {
+    fn cut() -> Self {
+        let reason = "the connection was cut within an image, expected an end between two images";
+        Self::Broken(reason.to_owned())
     }
 
-    fn read_to_end_marker(&mut self, image: &mut Vec<u8>) -> std::io::Result<()> {
-        while !image.ends_with(&[0xff, 0xd9]) {
-            let left = MAX_IMAGE_BYTES.saturating_sub(image.len() as u64);
-            if self.reader.by_ref().take(left).read_until(0xd9, image)? == 0 {
-                return Err(ErrorKind::UnexpectedEof.into());
+    fn too_large(found: &str) -> Self {
+        Self::Broken(format!(
+            "found an image of {found} bytes, expected at most {MAX_IMAGE_BYTES} (32 MiB)"
+        ))
+    }
+}
+
+impl<R: BufRead> MjpegFrames<R> {
+    /// The bytes of the next image: of the length in its header, or up to the JPEG's end marker.
+    fn next_image(&mut self) -> std::io::Result<Next> {
+        let Some(header) = self.part_header()? else {
+            return Ok(Next::End);
+        };
+        let mut image = Vec::new();
+        let length = value(&header, "content-length");
+        let is_number = |text: &String| text.bytes().all(|b| b.is_ascii_digit());
+        match length.filter(|text| !text.is_empty() && is_number(text)) {
+            Some(length) => match length.parse() {
+                Ok(bytes @ 0..=MAX_IMAGE_BYTES) => {
+                    self.reader.by_ref().take(bytes).read_to_end(&mut image)?;
+                    if (image.len() as u64) < bytes {
+                        return Ok(Next::cut());
+                    }
+                }
+                _ => return Ok(Next::too_large(&length)),
+            },
+            None => {
+                while !image.ends_with(&[0xff, 0xd9]) {
+                    let left = MAX_IMAGE_BYTES.saturating_sub(image.len() as u64);
+                    if left == 0 {
+                        return Ok(Next::too_large(&format!("more than {MAX_IMAGE_BYTES}")));
+                    }
+                    if self
+                        .reader
+                        .by_ref()
+                        .take(left)
+                        .read_until(0xd9, &mut image)?
+                        == 0
+                    {
+                        return Ok(Next::cut());
+                    }
+                }
             }
         }
-        Ok(())
+        Ok(Next::Image(image))
+    }
+
+    /// The header of the next image; `None` where the stream ends before one has begun. The boundary may stand alone, before empty
+    /// lines or as the first line of a header; all lines together are counted.
+    fn part_header(&mut self) -> std::io::Result<Option<Vec<String>>> {
+        let mut header = Vec::new();
+        for _ in 0..MAX_LINES {
+            let (line, is_whole) = read_line(&mut self.reader)?;
+            if !is_whole {
+                // after the boundary alone no image has begun
+                let is_field = |line: &String| line.contains(':');
+                if header.iter().any(is_field) || is_field(&line) {
+                    return Err(ErrorKind::UnexpectedEof.into());
+                }
+                return Ok(None);
+            }
+            if line.is_empty() && value(&header, "content-type").is_some() {
+                return Ok(Some(header));
+            }
+            header.push(line);
+        }
+        Err(endless_header())
     }
 }
 
@@ -147,11 +194,22 @@ impl<R: BufRead> Iterator for MjpegFrames<R> {
     type Item = Result<VideoFrame, VideoError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let jpeg = match self.next_image() {
-            Ok(jpeg) => jpeg,
-            // the server has closed the stream
-            Err(e) if e.kind() == ErrorKind::UnexpectedEof => return None,
-            Err(e) => return Some(Err(VideoError::io(&self.name, e))),
+        let next = self.next_image();
+        let broken = |reason| VideoError::BrokeOff {
+            video: self.name.clone(),
+            frames: self.frame,
+            reason,
+        };
+        let jpeg = match next {
+            Ok(Next::Image(jpeg)) => jpeg,
+            Ok(Next::End) => return None,
+            Ok(Next::Broken(reason)) => return Some(Err(broken(reason))),
+            Err(e) if e.kind() == ErrorKind::UnexpectedEof => {
+                let reason =
+                    "the connection was cut within a header, expected an end between two images";
+                return Some(Err(broken(reason.to_owned())));
+            }
+            Err(e) => return Some(Err(broken(e.to_string()))),
         };
         let arrival_ns = i64::try_from(self.begin.elapsed().as_nanos()).unwrap_or(i64::MAX);
         self.frame += 1;

@@ -3,10 +3,11 @@
 
 use monogrid_datasets::encode_jpeg;
 use monogrid_image::Image;
-use monogrid_video::{Video, VideoError};
+use monogrid_video::{Patience, Video, VideoError};
 use std::io::{Read, Write};
 use std::net::TcpListener;
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 /// A grey JPEG image of one colour.
 fn jpeg(level: u8) -> Vec<u8> {
@@ -82,4 +83,102 @@ fn answers_that_are_no_stream() {
     assert!(error.contains("404 Not Found"), "{error}");
     let (address, _server) = serve(b"HTTP/1.0 200 OK\r\n".repeat(200));
     assert!(matches!(Video::open(&address), Err(VideoError::Io { .. })));
+}
+
+/// Frames before a stream breaks off, and what is said then.
+fn broken(answer: Vec<u8>) -> (usize, String) {
+    let (address, _server) = serve(answer);
+    let mut items: Vec<_> = Video::open(&address).unwrap().collect();
+    let error = items.pop().unwrap().unwrap_err();
+    assert!(!error.is_single_frame(), "{error}");
+    assert!(items.iter().all(Result::is_ok));
+    (items.len(), error.to_string())
+}
+
+#[test]
+fn a_stream_that_ends_between_images_has_ended() {
+    for end in ["", "--b\r\n", "\r\n--b--\r\n", "--b"] {
+        let mut answer = multipart(&[("", jpeg(40)), ("", jpeg(90))]);
+        answer.extend_from_slice(end.as_bytes());
+        let (address, _server) = serve(answer);
+        let items: Vec<_> = Video::open(&address).unwrap().collect();
+        assert!(items.len() == 2 && items.iter().all(Result::is_ok), "{end}");
+    }
+}
+
+#[test]
+fn a_connection_that_is_cut_within_an_image_is_no_end() {
+    let image = jpeg(90);
+    let length = format!("Content-Length: {}\r\n", image.len());
+    for header in ["", &length] {
+        for left in [0, 1, image.len() / 2, image.len() - 1] {
+            let cut = image[..left].to_vec();
+            let mut answer = multipart(&[("", jpeg(40)), (header, cut)]);
+            // without the line behind the image
+            answer.truncate(answer.len() - 2);
+            let (frames, said) = broken(answer);
+            assert_eq!(frames, 1);
+            assert!(said.contains("cut within an image"), "{said}");
+        }
+    }
+    let mut answer = multipart(&[("", jpeg(40))]);
+    answer.extend_from_slice(b"--b\r\nContent-Type: image/jpeg\r\nContent-");
+    let (frames, said) = broken(answer);
+    assert!(frames == 1 && said.contains("within a header"), "{said}");
+}
+
+#[test]
+fn an_image_that_is_too_large_is_no_end() {
+    for length in ["33554433", "18446744073709551615", "99999999999999999999"] {
+        let header = format!("Content-Length: {length}\r\n");
+        let (frames, said) = broken(multipart(&[("", jpeg(40)), (&header, jpeg(90))]));
+        assert_eq!(frames, 1);
+        assert!(said.contains(length) && said.contains("32 MiB"), "{said}");
+    }
+    let (frames, said) = broken(multipart(&[("", jpeg(40)), ("", vec![7; (1 << 25) + 100])]));
+    assert_eq!(frames, 1);
+    assert!(said.contains("more than 33554432"), "{said}");
+}
+
+#[test]
+fn a_header_that_does_not_end_is_an_error() {
+    for line in ["\r\n", "--b\r\n\r\n", "x: y\r\n", "x"] {
+        let mut answer = multipart(&[("", jpeg(40))]);
+        answer.extend_from_slice(line.repeat(1_000_000).as_bytes());
+        let (frames, said) = broken(answer);
+        assert_eq!(frames, 1);
+        assert!(said.contains("a header that does not end"), "{said}");
+    }
+}
+
+/// A server that sends an image and then a byte now and then, for a minute.
+fn dripping() -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = format!("http://{}/video", listener.local_addr().unwrap());
+    std::thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        let mut answer = multipart(&[("", jpeg(40)), ("", Vec::new())]);
+        answer.truncate(answer.len() - 2);
+        for bytes in std::iter::once(answer.as_slice()).chain([[1].as_slice(); 600]) {
+            if stream.write_all(bytes).is_err() {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    });
+    address
+}
+
+#[test]
+fn a_server_that_drips_is_given_up_in_time() {
+    let patience = Patience {
+        limit: Some(Duration::from_millis(500)),
+        interrupted: None,
+    };
+    let begin = Instant::now();
+    let items: Vec<_> = Video::open_within(dripping(), patience).unwrap().collect();
+    assert_eq!(items.len(), 2);
+    let stalled = matches!(items[1], Err(VideoError::Stalled { .. }));
+    assert!(stalled, "{:?}", items[1]);
+    assert!(begin.elapsed() < Duration::from_secs(20));
 }

@@ -1,12 +1,15 @@
 //! Arguments that several commands share, and how their values are understood.
 
+use crate::interrupt::INTERRUPTED;
 use clap::{Args, ValueEnum};
 use monogrid_image::WorkingSize;
 use monogrid_slam::mapping::AutoLength;
+use monogrid_video::Patience;
 use serde::{Deserialize, Serialize};
 use std::num::NonZeroUsize;
 use std::ops::RangeInclusive;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Output for programs.
 #[derive(Debug, Clone, Copy, Default, Args)]
@@ -121,6 +124,10 @@ pub struct SourceArgs {
     /// Use at most this many frames
     #[arg(long, value_name = "N", help_heading = "Input")]
     pub max_frames: Option<usize>,
+    /// Give a source up that has sent no whole frame for this long, seconds, 0: never [default: 10 for addresses (http, rtsp ...), else
+    /// never]
+    #[arg(long, value_name = "S", value_parser = source_timeout, help_heading = "Input")]
+    pub source_timeout: Option<f64>,
     /// Frame rate of a folder of images without timestamps [default: 30]
     #[arg(long, value_name = "N", value_parser = positive, help_heading = "Input")]
     pub fps: Option<f64>,
@@ -141,6 +148,23 @@ pub struct SourceArgs {
     /// Milliseconds to add to the times of readings to have those of the images [default: 0]
     #[arg(long, value_name = "MS", value_parser = time_offset_ms, allow_hyphen_values = true, help_heading = "Input")]
     pub imu_time_offset: Option<f64>,
+}
+
+impl SourceArgs {
+    /// How long to wait for a source; an interrupt ends the wait.
+    pub fn patience(&self, source: &Path) -> Patience {
+        let mut patience = Patience::usual(source);
+        if let Some(seconds) = self.source_timeout {
+            patience.limit = (seconds > 0.0).then(|| Duration::from_secs_f64(seconds));
+        }
+        patience.interrupted = Some(&INTERRUPTED);
+        patience
+    }
+}
+
+/// How long a source may take, s: at most a day.
+fn source_timeout(text: &str) -> Result<f64, String> {
+    number_in(text, 0.0..=86_400.0, "0 to 86400 seconds")
 }
 
 /// A difference of two clocks, ms: at most some centuries.

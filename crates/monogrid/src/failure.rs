@@ -11,7 +11,13 @@ pub enum Failure {
     Running(anyhow::Error),
     /// Exit code 2: wrong usage or bad input.
     Input(anyhow::Error),
+    /// Exit code 4: the user stopped it before there was anything to save.
+    Interrupted,
 }
+
+/// What is said when there is nothing to save.
+const NOTHING_SAVED: &str =
+    "interrupted before the first image was tracked: there is nothing to save";
 
 /// How a command that ran to its end ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,6 +50,7 @@ impl Failure {
     pub fn into_error(self) -> Box<dyn std::error::Error + Send + Sync> {
         match self {
             Self::Running(error) | Self::Input(error) => error.into(),
+            Self::Interrupted => NOTHING_SAVED.into(),
         }
     }
 
@@ -52,6 +59,10 @@ impl Failure {
         let (code, error) = match self {
             Self::Running(error) => (1, error),
             Self::Input(error) => (2, error),
+            Self::Interrupted => {
+                eprintln!("{NOTHING_SAVED}");
+                return Outcome::Interrupted.code();
+            }
         };
         eprintln!("error: {}", render(error));
         code

@@ -3,6 +3,8 @@
 use crate::args::SourceArgs;
 use crate::failure::{Classify, Failure};
 use crate::frame_colours::FrameColours;
+use crate::image_files::read_files;
+use crate::interrupt::is_interrupted;
 use crate::readings::Inertial;
 use crate::self_calibration::{Expected, OwnCalibration};
 use crate::video_source::{VideoItem, VideoSource, check_topic, is_video};
@@ -13,9 +15,12 @@ use monogrid_geometry::{Camera, Pinhole, ReadoutDirection, Se3};
 use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
 use monogrid_pipeline::{Preparation, SourceFrame, Unusable};
 
+use monogrid_video::Patience;
 use monogrid_worlds::SynthSequence;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 /// Images in a row that may be unreadable before a source is given up.
 pub const MAX_UNREADABLE_IN_A_ROW: usize = 10;
@@ -32,21 +37,51 @@ pub enum Images {
 }
 
 impl Images {
-    /// The images that can be read, as the camera took them, and their times, ns; none of what is rendered.
+    /// All frames in order, as the camera took them; none of what is rendered. What a video shows beside luma goes to `colours`.
+    fn items<'a>(
+        &'a self,
+        (frames, reading): (&[FrameEntry], &'a Reading),
+        colours: Option<&'a FrameColours>,
+    ) -> Box<dyn Iterator<Item = VideoItem> + Send + 'a> {
+        match self {
+            Self::Files(_) => read_files(frames.to_vec(), reading.patience, &reading.cpu_ns),
+            Self::Video(video) => video.frames(colours),
+            Self::Rendered(_) => Box::new(std::iter::empty()),
+        }
+    }
+
+    /// The images that can be read and their times, ns, until the source ends; where it breaks off, why goes to `broke_off`.
     fn readable<'a>(
         &'a self,
-        frames: &'a [FrameEntry],
-    ) -> Box<dyn Iterator<Item = (i64, GrayImage)> + 'a> {
-        match self {
-            Self::Files(_) => Box::new(frames.iter().filter_map(|frame| {
-                let image = read_gray(&frame.path).ok()?;
-                Some((frame.timestamp_ns, image))
-            })),
-            Self::Video(video) => {
-                let frames = video.frames(None);
-                Box::new(frames.filter_map(|(_, time_ns, image)| Some((time_ns, image.ok()?))))
+        source: (&[FrameEntry], &'a Reading),
+        mut broke_off: impl FnMut(Unusable) + 'a,
+    ) -> impl Iterator<Item = (i64, GrayImage)> + 'a {
+        let items = self.items(source, None);
+        items.filter_map(move |(_, time_ns, image)| match image {
+            Ok(image) => Some((time_ns, image)),
+            Err(reason) => {
+                if matches!(reason, Unusable::BrokeOff(_)) {
+                    broke_off(reason);
+                }
+                None
             }
-            Self::Rendered(_) => Box::new(std::iter::empty()),
+        })
+    }
+}
+
+/// How a source is read.
+#[derive(Debug, Default)]
+pub struct Reading {
+    patience: Patience,
+    /// CPU time of the last reading of files, ns.
+    cpu_ns: AtomicU64,
+}
+
+impl Reading {
+    fn with(patience: Patience) -> Self {
+        Self {
+            patience,
+            ..Self::default()
         }
     }
 }
@@ -58,18 +93,21 @@ pub struct RawInput {
     pub name: String,
     images: Images,
     frames: Vec<FrameEntry>,
+    reading: Reading,
 }
 
 impl RawInput {
     /// Opens a source without asking for a calibration.
     pub fn open(source: &Path, args: &SourceArgs) -> Result<Self, Failure> {
         check_topic(source, args)?;
+        let reading = Reading::with(args.patience(source));
         if is_video(source) {
             let video = VideoSource::open(source, args)?;
             return Ok(Self {
                 name: video.name(),
                 images: Images::Video(Box::new(video)),
                 frames: Vec::new(),
+                reading,
             });
         }
         let options = SourceOptions { fps: args.fps };
@@ -78,12 +116,18 @@ impl RawInput {
             name: dataset.name.clone(),
             frames: selected(&dataset, args)?,
             images: Images::Files(Box::new(dataset)),
+            reading,
         })
     }
 
-    /// The images that can be read (grey, 0 to 255), once.
-    pub fn images(&self) -> Box<dyn Iterator<Item = GrayImage> + '_> {
-        Box::new(self.images.readable(&self.frames).map(|(_, image)| image))
+    /// The images that can be read (grey, 0 to 255), once; where the source breaks off, why goes to `broke_off`.
+    pub fn images<'a>(
+        &'a self,
+        broke_off: impl FnMut(Unusable) + 'a,
+    ) -> impl Iterator<Item = GrayImage> + 'a {
+        let source = (self.frames.as_slice(), &self.reading);
+        let images = self.images.readable(source, broke_off);
+        images.map(|(_, image)| image)
     }
 
     /// The files of a folder.
@@ -99,7 +143,7 @@ impl RawInput {
         if let Images::Video(video) = &self.images {
             return Ok((video.size, video.direction));
         }
-        let first = first_image(&self.frames)?;
+        let first = first_image(&self.frames, self.reading.patience)?;
         let size = (first.width(), first.height());
         Ok((size, ReadoutDirection::of_size(size)))
     }
@@ -140,8 +184,21 @@ impl RawInput {
         let expected = first.map_or(Expected::ORDINARY, |frame| {
             Expected::of_image(&frame.path, shape.0)
         });
-        let own = OwnCalibration::from_images(self.images.readable(&self.frames), shape, &expected);
-        own.ok_or_else(|| no_calibration(&unknown))
+        let mut broke_off = None;
+        let source = (self.frames.as_slice(), &self.reading);
+        let images = self
+            .images
+            .readable(source, |reason| broke_off = Some(reason));
+        let own = OwnCalibration::from_images(images, shape, &expected);
+        if is_interrupted() {
+            // nothing will be tracked with it
+            let assumed = OwnCalibration::assumed(shape.0, &expected);
+            return assumed.ok_or(Failure::Interrupted);
+        }
+        own.ok_or_else(|| match broke_off {
+            Some(reason) => Failure::running(reason),
+            None => no_calibration(&unknown),
+        })
     }
 }
 
@@ -169,6 +226,8 @@ pub struct Input {
     pub inertial: Option<Inertial>,
     /// What looked odd, in sentences for people.
     pub warnings: Vec<String>,
+    /// How it is read.
+    pub reading: Reading,
 }
 
 impl Input {
@@ -200,6 +259,7 @@ impl Input {
             is_shutter_known: known.readout_ms.is_some(),
             inertial,
             warnings,
+            reading: raw.reading,
         })
     }
 
@@ -223,6 +283,7 @@ impl Input {
             is_shutter_known: true,
             inertial: None,
             warnings: Vec::new(),
+            reading: Reading::default(),
         }
     }
 
@@ -235,7 +296,11 @@ impl Input {
     pub fn timed_images_again(&self) -> Box<dyn Iterator<Item = (i64, GrayImage)> + '_> {
         match &self.images {
             Images::Video(video) if !video.is_file => Box::new(std::iter::empty()),
-            images => images.readable(&self.frames),
+            images => {
+                let source = (self.frames.as_slice(), &self.reading);
+                // a run that needs what is missing says it
+                Box::new(images.readable(source, |_| {}))
+            }
         }
     }
 
@@ -324,19 +389,29 @@ impl Input {
         &'a self,
         colours: Option<&'a FrameColours>,
     ) -> Box<dyn Iterator<Item = SourceFrame> + Send + 'a> {
-        let Images::Video(video) = &self.images else {
-            return Box::new(self.frames.iter().map(|frame| SourceFrame {
-                index: frame.index,
-                timestamp_ns: frame.timestamp_ns,
-                image: self.read_image(frame),
-            }));
+        let Images::Rendered(_) = &self.images else {
+            let source = (self.frames.as_slice(), &self.reading);
+            let frame = |(index, timestamp_ns, image): VideoItem| SourceFrame {
+                index,
+                timestamp_ns,
+                image,
+            };
+            return Box::new(self.images.items(source, colours).map(frame));
         };
-        let frame = |(index, timestamp_ns, image): VideoItem| SourceFrame {
-            index,
-            timestamp_ns,
-            image: image.map_err(Unusable::Unreadable),
+        Box::new(self.frames.iter().map(|frame| SourceFrame {
+            index: frame.index,
+            timestamp_ns: frame.timestamp_ns,
+            image: self.read_image(frame),
+        }))
+    }
+
+    /// CPU time of the last reading, beside that of preparing the images.
+    pub fn reading_cpu(&self) -> Duration {
+        let cpu_ns = match &self.images {
+            Images::Video(video) => &video.cpu_ns,
+            Images::Files(_) | Images::Rendered(_) => &self.reading.cpu_ns,
         };
-        Box::new(video.frames(colours).map(frame))
+        Duration::from_nanos(cpu_ns.load(Ordering::Relaxed))
     }
 }
 
@@ -364,17 +439,22 @@ fn chosen<T: Clone>(frames: &[T], args: &SourceArgs) -> Vec<T> {
 }
 
 /// The first image that can be decoded, for the size.
-fn first_image(frames: &[FrameEntry]) -> Result<GrayImage, Failure> {
+fn first_image(frames: &[FrameEntry], patience: Patience) -> Result<GrayImage, Failure> {
+    let cpu_ns = AtomicU64::new(0);
+    let tried = frames.len().min(MAX_UNREADABLE_IN_A_ROW);
     let mut first_error = None;
-    for frame in frames.iter().take(MAX_UNREADABLE_IN_A_ROW) {
-        match read_gray(&frame.path) {
+    for (.., image) in read_files(frames[..tried].to_vec(), patience, &cpu_ns) {
+        match image {
             Ok(image) => return Ok(image),
+            Err(Unusable::BrokeOff(reason)) => return Err(Failure::running(reason)),
             Err(error) => {
                 first_error.get_or_insert(error);
             }
         }
     }
-    let tried = frames.len().min(MAX_UNREADABLE_IN_A_ROW);
+    if is_interrupted() {
+        return Err(Failure::Interrupted);
+    }
     let error = first_error.ok_or_else(|| Failure::input("the source has no frames"))?;
     let said = format!("none of the first {tried} images can be read");
     Err(Failure::Input(anyhow::Error::from(error).context(said)))

@@ -81,7 +81,9 @@ mod parts {
     pub mod explorer;
     pub mod failure;
     pub mod frame_colours;
+    pub mod image_files;
     pub mod input;
+    pub mod interrupt;
     pub mod keyframe_pixels;
     pub mod map_camera;
     pub mod mapfile;

@@ -3,6 +3,7 @@
 use crate::config::RunConfig;
 use crate::failure::{Classify, Failure};
 use crate::input::Input;
+use crate::interrupt::is_interrupted;
 use crate::map_camera::{HELD, LEFT_RADIAL, TakenOut, as_calibrated, shown_by_map};
 use crate::self_calibration::{Expected, OwnCalibration};
 use monogrid_calibration::{Estimate, Intrinsics, Parameters};
@@ -33,7 +34,11 @@ pub fn refine(input: &mut Input, config: &RunConfig) -> Result<(), Failure> {
     {
         input.preparation = input.preparation.clone().with_readout_ms(readout_ms);
     }
-    let (slam, num_frames) = first_pass(input, config)?;
+    let (mut slam, num_frames) = first_pass(input, config)?;
+    if is_interrupted() {
+        return Ok(());
+    }
+    slam.finish();
     let preparation = &input.preparation;
     let taken_out = TakenOut::always(preparation.readout_ms(), preparation.readout_direction());
     let refined = match &input.own_calibration {
@@ -54,7 +59,7 @@ fn shown_readout_ms(input: &Input) -> Option<f64> {
     OwnCalibration::from_images(images, shape, &Expected::ORDINARY)?.readout_ms
 }
 
-/// The system after the first frames, and their number.
+/// The system after the first frames, not finished yet, and their number.
 fn first_pass(input: &Input, config: &RunConfig) -> Result<(Slam, usize), Failure> {
     let mask = input.mask().clone();
     let mut slam = Slam::new(config.slam.clone(), *input.pinhole(), mask, config.seed)
@@ -63,6 +68,9 @@ fn first_pass(input: &Input, config: &RunConfig) -> Result<(Slam, usize), Failur
     let frames = beginning(input.source(None));
     read_ahead(frames, &input.preparation, Reading::default(), |frame| {
         num_frames += 1;
+        if is_interrupted() {
+            return ControlFlow::Break(());
+        }
         if let Some(Ok(image)) = frame.image {
             slam.process_frame(FrameInput {
                 index: frame.index,
@@ -74,7 +82,6 @@ fn first_pass(input: &Input, config: &RunConfig) -> Result<(Slam, usize), Failur
         ControlFlow::Continue(ReadOn::AsBefore)
     })
     .while_running("frames cannot be read")?;
-    slam.finish();
     Ok((slam, num_frames))
 }
 

@@ -1,6 +1,7 @@
 //! The camera of a source that has no calibration: estimated from its images.
 
 use crate::failure::Failure;
+use crate::interrupt::is_interrupted;
 use monogrid_calibration::{
     CollectorConfig, Estimate, EstimateConfig, Intrinsics, Prior, TrackCollector, Window,
     estimate_intrinsics,
@@ -109,7 +110,7 @@ impl OwnCalibration {
             image
         });
         let windows = windows_of(images, (size, direction), MAX_WINDOWS);
-        if windows.is_empty() {
+        if windows.is_empty() || is_interrupted() {
             return None;
         }
         let estimate = estimate(&windows, size, expected, 1.0);
@@ -119,6 +120,11 @@ impl OwnCalibration {
             Some((share, sigma)) => own.with_readout(share, sigma, interval_ns(&times_ns) / 1e6),
             None => own,
         })
+    }
+
+    /// The camera that is expected, without a look at its images.
+    pub fn assumed(size: (usize, usize), expected: &Expected) -> Option<Self> {
+        Self::from_estimate(&estimate(&[], size, expected, 1.0), size, expected)
     }
 
     /// The same with a rolling shutter, in shares of the time from frame to frame.

@@ -1,15 +1,17 @@
 //! Videos, cameras and streams as a source.
 
 use crate::args::SourceArgs;
-use crate::failure::{Classify, Failure};
+use crate::failure::Failure;
 use crate::frame_colours::FrameColours;
 use monogrid_geometry::{Camera, ReadoutDirection};
 use monogrid_image::GrayImage;
-use monogrid_video::{Video, VideoError, is_recording};
+use monogrid_pipeline::Unusable;
+use monogrid_video::{Patience, Video, VideoError, is_pipe, is_recording};
 use std::ffi::OsStr;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// A video that is read from its beginning, or a stream that is read once.
 #[derive(Debug)]
@@ -36,10 +38,13 @@ pub struct VideoSource {
     opened: Mutex<Option<Video>>,
     /// Whether it can be read again.
     pub is_file: bool,
+    patience: Patience,
+    /// CPU time of the last reading, ns.
+    pub cpu_ns: AtomicU64,
 }
 
 /// A frame as it comes: number, time in nanoseconds, image or why there is none.
-pub type VideoItem = (usize, i64, Result<GrayImage, String>);
+pub type VideoItem = (usize, i64, Result<GrayImage, Unusable>);
 
 /// Endings of files that are no videos: they have readers of their own, or none.
 const NO_VIDEOS: [&str; 14] = [
@@ -58,7 +63,7 @@ pub fn is_video(source: &Path) -> bool {
         !NO_VIDEOS.contains(&ending.as_str())
     };
     let is_file = source.is_file() && source.extension().is_some_and(may_be_video);
-    is_file || source.is_dir() && is_recording(source)
+    is_file || is_pipe(source) || source.is_dir() && is_recording(source)
 }
 
 /// Refuses a topic of what has none.
@@ -73,11 +78,24 @@ pub fn check_topic(source: &Path, args: &SourceArgs) -> Result<(), Failure> {
 }
 
 /// Opens a video, or the topic of a recording; with the camera that a recording says.
-fn open_source(path: &Path, topic: Option<&str>) -> Result<(Video, Option<Camera>), VideoError> {
+fn open_source(
+    path: &Path,
+    topic: Option<&str>,
+    patience: Patience,
+) -> Result<(Video, Option<Camera>), VideoError> {
     if is_recording(path) {
-        return Video::open_recording(path, topic);
+        return Video::open_recording(path, topic, patience);
     }
-    Ok((Video::open(path)?, None))
+    Ok((Video::open_within(path, patience)?, None))
+}
+
+/// A source that cannot be opened is bad input, unless it may be better the next time.
+fn not_opened(error: VideoError) -> Failure {
+    match error {
+        VideoError::Interrupted { .. } => Failure::Interrupted,
+        VideoError::Stalled { .. } | VideoError::BrokeOff { .. } => Failure::running(error),
+        error => Failure::Input(error.into()),
+    }
 }
 
 impl VideoSource {
@@ -89,7 +107,9 @@ impl VideoSource {
             return Err(Failure::input("--max-frames is 0, expected at least 1"));
         }
         let topic = args.topic.clone();
-        let (video, camera) = open_source(path, topic.as_deref()).bad_input()?;
+        let patience = args.patience(path);
+        let opened = open_source(path, topic.as_deref(), patience);
+        let (video, camera) = opened.map_err(not_opened)?;
         let length = video.length();
         if length.is_some_and(|length| start >= length) {
             return Err(Failure::input(format!(
@@ -112,6 +132,8 @@ impl VideoSource {
             max_frames: max_frames.unwrap_or(usize::MAX),
             is_file: path.is_file() || is_recording(path),
             opened: Mutex::new(Some(video)),
+            patience,
+            cpu_ns: AtomicU64::new(0),
         })
     }
 
@@ -135,18 +157,32 @@ impl VideoSource {
         let opened = self.opened.lock().ok().and_then(|mut opened| opened.take());
         let video = match opened {
             Some(video) => Ok(video),
-            None if self.is_file => open_source(&self.path, self.topic.as_deref())
-                .map(|(video, _)| video)
-                .map_err(|e| e.to_string()),
-            None => Err("the stream was read before".to_owned()),
+            None if self.is_file => {
+                let topic = self.topic.as_deref();
+                open_source(&self.path, topic, self.patience).map(|(video, _)| video)
+            }
+            None => return broken_off(self.start, "the stream was read before"),
         };
-        let video = match video {
+        let mut video = match video {
             Ok(video) => video,
-            Err(reason) => return Box::new(std::iter::once((self.start, 0, Err(reason)))),
+            // whoever interrupted knows why there are none
+            Err(VideoError::Interrupted { .. }) => return Box::new(std::iter::empty()),
+            Err(error) => return broken_off(self.start, error),
         };
+        let items = std::iter::from_fn(move || {
+            let item = video.next();
+            let cpu_ns = video.cpu().as_nanos() as u64;
+            self.cpu_ns.store(cpu_ns, Ordering::Relaxed);
+            item
+        });
+        // the end is said also where it does not come at a frame to use
+        let is_used = |(index, item): &(usize, Result<_, VideoError>)| {
+            let is_end = item.as_ref().is_err_and(|e| !e.is_single_frame());
+            is_end || (*index >= self.start && (index - self.start).is_multiple_of(self.every))
+        };
+        let used = items.enumerate().filter(is_used);
         let mut last_ns = 0;
-        let numbered = video.enumerate().skip(self.start).step_by(self.every);
-        Box::new(numbered.take(self.max_frames).map(move |(index, item)| {
+        Box::new(used.take(self.max_frames).map(move |(index, item)| {
             let image = item.map(|frame| {
                 last_ns = frame.timestamp_ns;
                 if let Some(colours) = colours {
@@ -156,7 +192,20 @@ impl VideoSource {
             });
             // a frame without an image has no time either: right after the one before
             last_ns += i64::from(image.is_err());
-            (index, last_ns, image.map_err(|e: VideoError| e.to_string()))
+            (index, last_ns, image.map_err(unusable))
         }))
+    }
+}
+
+/// Nothing but the reason.
+fn broken_off(index: usize, reason: impl ToString) -> Box<dyn Iterator<Item = VideoItem> + Send> {
+    let reason = Unusable::BrokeOff(reason.to_string());
+    Box::new(std::iter::once((index, 0, Err(reason))))
+}
+
+fn unusable(error: VideoError) -> Unusable {
+    match error.is_single_frame() {
+        true => Unusable::Unreadable(error.to_string()),
+        false => Unusable::BrokeOff(error.to_string()),
     }
 }

@@ -137,12 +137,16 @@ pub fn execute(args: &CalibrateArgs) -> CommandResult {
         None => inputs,
     };
     let (mut collector, mut size, mut num_images) = (BoardCollector::new(config), None, 0);
-    for image in input.images() {
+    let mut broke_off = None;
+    for image in input.images(|reason| broke_off = Some(reason)) {
         let found = (image.width(), image.height());
         if *size.get_or_insert(found) == found {
             collector.add(&image);
             num_images += 1;
         }
+    }
+    if let Some(reason) = broke_off {
+        return Err(Failure::running(reason));
     }
     let size = size.ok_or_else(|| Failure::input("none of the images can be read"))?;
     let views = collector.finish().bad_input()?;

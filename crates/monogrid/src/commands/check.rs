@@ -2,7 +2,7 @@
 
 use crate::args::{JsonArg, SourceArgs};
 use crate::doubts::doubts;
-use crate::failure::CommandResult;
+use crate::failure::{CommandResult, Failure};
 use crate::input::{Images, Input};
 use crate::readings::{ImuFacts, Inertial};
 use clap::Args;
@@ -81,7 +81,11 @@ pub fn execute(args: &CheckArgs) -> CommandResult {
     let input = Input::open(&args.source, &args.input, WorkingSize::AUTOMATIC)?;
     let seen = Seen::all(&input);
     let report = CheckReport::new(&input, &seen);
-    args.json.print(&report, || print_report(&report))
+    let outcome = args.json.print(&report, || print_report(&report));
+    match seen.broke_off {
+        Some(reason) => Err(Failure::running(reason)),
+        None => outcome,
+    }
 }
 
 /// What the frames of a source say.
@@ -94,6 +98,8 @@ struct Seen {
     numbers: Vec<usize>,
     /// Why the others cannot.
     unreadable: Vec<String>,
+    /// Why there are no more, where that is not the end of the source.
+    broke_off: Option<Unusable>,
 }
 
 impl Seen {
@@ -101,6 +107,10 @@ impl Seen {
         let mut checker = FrameChecker::default();
         let mut seen = Self::default();
         for (index, timestamp_ns, image) in frames(input) {
+            if let Err(reason @ Unusable::BrokeOff(_)) = image {
+                seen.broke_off = Some(reason);
+                break;
+            }
             seen.times.push(timestamp_ns as f64 * 1e-9);
             match image {
                 Ok(image) => {

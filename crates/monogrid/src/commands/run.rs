@@ -6,6 +6,7 @@ use crate::config::RunConfig;
 use crate::depth_images::{dataset_seed_depth, depth_calibration};
 use crate::failure::{CommandResult, Failure};
 use crate::input::{Images, Input};
+use crate::interrupt::{self, abandonable, is_interrupted};
 use crate::memory;
 use crate::output::{Inputs, OutputFile, OutputFolder};
 use crate::readings::Inertial;
@@ -16,7 +17,7 @@ use crate::run::sessions::{Continued, Earlier, files_of};
 use crate::run::whole::{Extras, run_all};
 use crate::run::{MemoryLimit, RunSettings, SubmapPolicy, View};
 use clap::Args;
-use monogrid_image::GrayImage;
+use monogrid_image::{GrayImage, WorkingSize};
 use monogrid_pipeline::Pace;
 use monogrid_slam::{Purpose, SlamConfig};
 use std::io::IsTerminal;
@@ -131,6 +132,7 @@ pub fn execute(args: &RunArgs) -> CommandResult {
     let earlier = continue_from.map(Earlier::read).transpose()?;
     let config = configuration(args, earlier.as_ref())?;
     let align = alignment(args, earlier.as_ref())?;
+    interrupt::listen();
     let input = open(args, earlier.as_ref(), &config)?;
     let seed_depth = seed_depth(&input, args)?;
     let inputs = inputs(args, &input, &config);
@@ -159,7 +161,10 @@ pub fn execute(args: &RunArgs) -> CommandResult {
         ..RunSettings::new(config, threads)
     };
     describe_input(&input);
-    if let Some(own) = &input.own_calibration {
+    // what is assumed because nobody waited is no calibration for the next run
+    if let Some(own) = &input.own_calibration
+        && !is_interrupted()
+    {
         let (name, content) = own.file();
         folder.write(name, content)?;
     }
@@ -221,7 +226,7 @@ fn alignment(args: &RunArgs, earlier: Option<&Earlier>) -> Result<Align, Failure
 /// The source, with images of the size of the continued run; a camera that nobody gave is refined.
 fn open(args: &RunArgs, earlier: Option<&Earlier>, config: &RunConfig) -> Result<Input, Failure> {
     let Some(earlier) = earlier else {
-        let mut input = Input::open(&args.source, &args.input, config.working_size())?;
+        let mut input = open_source(args, args.input.clone(), config.working_size())?;
         let is_own = input.own_calibration.is_some() && args.input.fov.is_none();
         if args.refine_calibration && !input.is_repeatable() {
             return Err(Failure::input(
@@ -229,17 +234,27 @@ fn open(args: &RunArgs, earlier: Option<&Earlier>, config: &RunConfig) -> Result
             ));
         }
         if args.refine_calibration || is_own {
-            refine(&mut input, config)?;
+            let config = config.clone();
+            let refined = abandonable("first pass", move || {
+                refine(&mut input, &config).map(|()| input)
+            });
+            return refined?;
         }
         return Ok(input);
     };
     let mut source = args.input.clone();
     let size = (earlier.session.width, earlier.session.height);
     source.size = source.size.or(Some(size));
-    let mut input = Input::open(&args.source, &source, config.working_size())?;
+    let mut input = open_source(args, source, config.working_size())?;
     earlier.check_camera(&input)?;
     input.warnings.extend(earlier.warnings.iter().cloned());
     Ok(input)
+}
+
+/// Opens the source, and estimates its camera where nobody gave it; an interrupt ends that.
+fn open_source(args: &RunArgs, how: SourceArgs, usual: WorkingSize) -> Result<Input, Failure> {
+    let source = args.source.clone();
+    abandonable("opening", move || Input::open(&source, &how, usual))?
 }
 
 /// The depth to start with and its frame.

@@ -57,6 +57,9 @@ pub fn verdict(summary: &Summary, tracked: &Tracked) -> String {
         Status::Unreadable => format!(
             "The images became unreadable; {share} % of the frames until then have a pose."
         ),
+        Status::BrokeOff => format!(
+            "The source broke off before its end; {share} % of the frames until then have a pose."
+        ),
         Status::Interrupted if summary.keyframes == 0 => {
             "Interrupted before tracking started; there is no map.".to_owned()
         }

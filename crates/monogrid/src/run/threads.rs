@@ -89,7 +89,7 @@ pub fn track(
             Duration::ZERO
         }
     };
-    tracking.finish(reading, process_before)
+    tracking.finish(reading + input.reading_cpu(), process_before)
 }
 
 /// Shows the run while it goes on, if that is wanted.

@@ -28,8 +28,10 @@ use std::time::{Duration, Instant};
 pub enum EarlyEnd {
     /// The user interrupted it.
     Interrupted,
-    /// Too many frames in a row were unreadable; the reason of the last.
-    Unreadable(String),
+    /// So many frames in a row were unreadable, too many or all that there are; the reason of the last.
+    Unreadable(usize, String),
+    /// The source could not be read any further, and why.
+    BrokeOff(String),
     /// A part of the program failed, and why.
     Failed(String),
 }
@@ -46,6 +48,8 @@ pub struct Tracking<'a> {
     /// Finished keyframes.
     num_keyframes: usize,
     unreadable_in_a_row: usize,
+    /// Whether no frame could be read yet.
+    is_none_readable: bool,
     early_end: Option<EarlyEnd>,
     calibration: CalibrationCheck<'a>,
     shutter: ShutterSearch,
@@ -72,6 +76,7 @@ impl<'a> Tracking<'a> {
             interrupted,
             rows: FrameLog::begin(folder),
             unreadable_in_a_row: 0,
+            is_none_readable: true,
             early_end: None,
             calibration: CalibrationCheck::new(input, settings.pace == Pace::Taken),
             shutter: ShutterSearch::new(input),
@@ -90,6 +95,10 @@ impl<'a> Tracking<'a> {
         }
         if self.pipeline.failed_thread().is_some() {
             // why is known when it is joined
+            return ControlFlow::Break(());
+        }
+        if let Some(Err(Unusable::BrokeOff(reason))) = frame.image {
+            self.early_end = Some(EarlyEnd::BrokeOff(reason));
             return ControlFlow::Break(());
         }
         let shown = match (&mut self.viewer, &frame.image) {
@@ -230,12 +239,13 @@ impl<'a> Tracking<'a> {
             FrameFate::Skipped(reason) => {
                 self.unreadable_in_a_row += 1;
                 (self.unreadable_in_a_row >= MAX_UNREADABLE_IN_A_ROW)
-                    .then(|| EarlyEnd::Unreadable(reason.clone()))
+                    .then(|| EarlyEnd::Unreadable(self.unreadable_in_a_row, reason.clone()))
             }
             // it was not read
             FrameFate::Dropped => None,
             FrameFate::Processed(_) | FrameFate::BeforeSeed | FrameFate::Repeated => {
                 self.unreadable_in_a_row = 0;
+                self.is_none_readable = false;
                 None
             }
         }
@@ -246,6 +256,44 @@ impl<'a> Tracking<'a> {
         self.early_end = Some(EarlyEnd::Failed(message.to_owned()));
     }
 
+    /// Why the source has ended before its last frame, where nothing else has ended the run.
+    fn end_of_source(&self, rows: &[FrameRow]) -> Option<EarlyEnd> {
+        match rows.last().map(|row| &row.fate) {
+            // the source ended because of it
+            _ if self.interrupted.load(Ordering::Relaxed) => Some(EarlyEnd::Interrupted),
+            Some(FrameFate::Skipped(reason)) if self.is_none_readable => {
+                Some(EarlyEnd::Unreadable(rows.len(), reason.clone()))
+            }
+            _ => None,
+        }
+    }
+
+    /// What the map says against the calibration, in sentences; nothing where a part of the program has failed.
+    fn doubts(&mut self, rows: &[FrameRow]) -> Vec<String> {
+        if matches!(self.early_end, Some(EarlyEnd::Failed(_))) {
+            return Vec::new();
+        }
+        if let Some(limit) = self.settings.memory_limit {
+            // what the map says of the camera is a question to its points alone
+            memory::keep_least();
+            limit.squeeze(self.pipeline.slam());
+        }
+        let poses = (rows.iter()).filter_map(|row| row.report()?.world_from_camera);
+        let share = poses.count() as f64 / rows.len().max(1) as f64;
+        let seen = (self.pipeline.slam(), &self.shutter.taken_out);
+        let left_radial = self.calibration.left_radial(seen);
+        let mut doubts = self.calibration.end(seen, share);
+        doubts.extend(self.shutter.conclusion());
+        if let Some(radial) = left_radial {
+            self.pipeline.take_left_radial(radial);
+            doubts.push(format!(
+                "the calibration leaves a radial distortion of {radial:+.4} in the images, by which the poses were adjusted in the end; \
+                 --refine-calibration takes it out of the images"
+            ));
+        }
+        doubts
+    }
+
     /// After the last frame: everything that was found. Given the CPU time of the reader, and of the process before the first frame.
     pub fn finish(
         mut self,
@@ -254,33 +302,9 @@ impl<'a> Tracking<'a> {
     ) -> Result<Tracked, Failure> {
         self.progress.finish();
         let rows = self.rows.finish()?;
-        let poses = rows
-            .iter()
-            .filter_map(|row| row.report()?.world_from_camera);
-        let num_with_pose = poses.count();
-        let share = num_with_pose as f64 / rows.len().max(1) as f64;
+        self.early_end = self.early_end.take().or_else(|| self.end_of_source(&rows));
+        let doubts = self.doubts(&rows);
         let limit = self.settings.memory_limit;
-        if let Some(limit) = limit {
-            // what the map says of the camera is a question to its points alone
-            memory::keep_least();
-            limit.squeeze(self.pipeline.slam());
-        }
-        let seen = (self.pipeline.slam(), &self.shutter.taken_out);
-        let mut doubts = Vec::new();
-        let mut left_radial = None;
-        // what has failed says nothing of the camera
-        if !matches!(self.early_end, Some(EarlyEnd::Failed(_))) {
-            left_radial = self.calibration.left_radial(seen);
-            doubts = self.calibration.end(seen, share);
-            doubts.extend(self.shutter.conclusion());
-        }
-        if let Some(radial) = left_radial {
-            self.pipeline.take_left_radial(radial);
-            doubts.push(format!(
-                "the calibration leaves a radial distortion of {radial:+.4} in the images, by which the poses were adjusted in the end; \
-                 --refine-calibration takes it out of the images"
-            ));
-        }
         // it has seen all frames
         drop(self.viewer);
         let mut released = |slam: &Slam| {

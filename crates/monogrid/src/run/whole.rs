@@ -14,7 +14,8 @@ use super::{MemoryLimit, RunSettings};
 use crate::colours::Colours;
 use crate::explorer::{SemiDense, ShownKeyframe};
 use crate::failure::{Failure, Outcome};
-use crate::input::{Images, Input, MAX_UNREADABLE_IN_A_ROW};
+use crate::input::{Images, Input};
+use crate::interrupt::{self, INTERRUPTED};
 use crate::memory;
 use crate::output::OutputFolder;
 use crate::surface::{CellColours, ColouredScan};
@@ -30,10 +31,7 @@ use monogrid_slam::{KeptKeyframe, TrackedFrame, TrajectoryPose};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-
-/// Set by Ctrl-C.
-static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+use std::sync::atomic::AtomicUsize;
 
 /// What a caller adds to summary and report.
 #[derive(Debug, Default)]
@@ -67,7 +65,7 @@ pub fn run_all(
     align: &Align,
     extras: impl FnOnce(&Tracked, Option<&Maps>) -> Result<Extras, Failure>,
 ) -> Result<Finished, Failure> {
-    save_when_interrupted();
+    interrupt::listen();
     let config = settings.config.to_toml()?;
     folder.write("config.toml", &config)?;
     let mut tracked = track(input, folder, settings, &INTERRUPTED)?;
@@ -191,17 +189,6 @@ fn summary(
     summary.depth = extras.depth;
     summary.map_error = extras.map;
     summary
-}
-
-/// The first Ctrl-C ends tracking, a second one the process.
-fn save_when_interrupted() {
-    // a second handler in one process is refused, which does no harm
-    let _ = ctrlc::set_handler(|| {
-        if INTERRUPTED.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
-        }
-        eprintln!("interrupted: saving (once more to stop at once)");
-    });
 }
 
 /// What the keyframes together say about the results.
@@ -457,8 +444,9 @@ fn early_failure(tracked: &Tracked) -> Option<String> {
         Some(EarlyEnd::Failed(reason)) => {
             Some(format!("{reason}; what was mapped until then is saved"))
         }
-        Some(EarlyEnd::Unreadable(reason)) => Some(format!(
-            "{MAX_UNREADABLE_IN_A_ROW} images in a row cannot be used, the last because: {reason}"
+        Some(EarlyEnd::BrokeOff(reason)) => Some(format!("the source broke off: {reason}")),
+        Some(EarlyEnd::Unreadable(in_a_row, reason)) => Some(format!(
+            "{in_a_row} images in a row cannot be used, the last because: {reason}"
         )),
         _ => None,
     }

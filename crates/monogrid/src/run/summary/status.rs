@@ -30,6 +30,8 @@ pub enum Status {
     Unreadable,
     /// A part of the program failed; what was mapped until then is there.
     Failed,
+    /// The source could not be read to its end: it vanished, stalled, or was cut.
+    BrokeOff,
 }
 
 impl Status {
@@ -37,7 +39,8 @@ impl Status {
     pub fn of(tracked: &Tracked, settings: &RunSettings) -> Self {
         match &tracked.early_end {
             Some(EarlyEnd::Interrupted) => Self::Interrupted,
-            Some(EarlyEnd::Unreadable(_)) => Self::Unreadable,
+            Some(EarlyEnd::Unreadable(..)) => Self::Unreadable,
+            Some(EarlyEnd::BrokeOff(_)) => Self::BrokeOff,
             Some(EarlyEnd::Failed(_)) => Self::Failed,
             _ if tracked.run.slam.num_keyframes() == 0 => Self::NotInitialised,
             _ if settings.continued.is_some() && tracked.run.trajectory.is_empty() => {
@@ -59,7 +62,7 @@ impl Status {
             }
             Self::Interrupted => Outcome::Interrupted,
             // said as a failure
-            Self::Done | Self::Unreadable | Self::Failed => Outcome::Done,
+            Self::Done | Self::Unreadable | Self::BrokeOff | Self::Failed => Outcome::Done,
         }
     }
 }

@@ -1,0 +1,45 @@
+//! Image files, read one after the other in a thread of their own.
+
+use crate::video_source::VideoItem;
+use monogrid_datasets::{FrameEntry, read_gray};
+use monogrid_pipeline::Unusable;
+use monogrid_video::{Aside, Patience, Sink, Waited};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// The images of these files in their order; `cpu_ns` hears of the CPU time of reading them.
+pub fn read_files<'a>(
+    files: Vec<FrameEntry>,
+    patience: Patience,
+    cpu_ns: &'a AtomicU64,
+) -> Box<dyn Iterator<Item = VideoItem> + Send + 'a> {
+    let broke_off = |reason: String| (0, 0, Err(Unusable::BrokeOff(reason)));
+    let work = move |sink: &Sink<VideoItem>| {
+        for file in files {
+            let image = read_gray(&file.path);
+            let image = image.map_err(|error| Unusable::Unreadable(error.to_string()));
+            if !sink.put((file.index, file.timestamp_ns, image)) {
+                return;
+            }
+        }
+    };
+    let mut images = match Aside::start("source", patience, work) {
+        Ok(images) => Some(images),
+        Err(error) => return Box::new(std::iter::once(broke_off(error.to_string()))),
+    };
+    Box::new(std::iter::from_fn(move || {
+        let waited = images.as_mut()?;
+        let item = match waited.wait() {
+            Waited::Item(item) => {
+                cpu_ns.store(waited.cpu().as_nanos() as u64, Ordering::Relaxed);
+                return Some(item);
+            }
+            Waited::Ended | Waited::Interrupted => None,
+            Waited::TooLong(limit) => Some(broke_off(format!(
+                "an image file could not be read for {} s",
+                limit.as_secs_f64()
+            ))),
+        };
+        images = None;
+        item
+    }))
+}
