@@ -95,7 +95,7 @@ impl<'a> CalibrationCheck<'a> {
     }
 
     /// After the run, of whose frames this share has a pose: all that is known against the calibration.
-    pub fn end(self, (slam, taken_out): (&Slam, &TakenOut), share_with_pose: f64) -> Vec<String> {
+    pub fn end(&self, (slam, taken_out): (&Slam, &TakenOut), share_with_pose: f64) -> Vec<String> {
         match self.input {
             Some(input) if self.doubts.is_empty() => {
                 let shown = by_map(slam, taken_out);
@@ -104,7 +104,7 @@ impl<'a> CalibrationCheck<'a> {
                 }
                 against(input, &shown)
             }
-            _ => self.doubts,
+            _ => self.doubts.clone(),
         }
     }
 }

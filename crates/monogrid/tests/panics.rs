@@ -1,4 +1,5 @@
 //! A panic in any part of a run ends it with exit code 1 and a sentence, and what was mapped until then is saved.
+#![allow(clippy::unwrap_used, reason = "tests")]
 
 mod common;
 

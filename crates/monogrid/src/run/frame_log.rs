@@ -77,7 +77,7 @@ impl FrameLog {
     }
 
     /// All rows.
-    pub fn finish(mut self) -> Result<Vec<FrameRow>, Failure> {
+    pub fn finish(&mut self) -> Result<Vec<FrameRow>, Failure> {
         let mut rows = self
             .read_back()
             .while_running("what became of the frames cannot be read back from the disk")?;
