@@ -48,7 +48,7 @@ pub struct Tracking<'a> {
     calibration: CalibrationCheck<'a>,
     shutter: ShutterSearch,
     progress: Progress,
-    viewer: Option<Viewer>,
+    viewer: Option<&'a mut Viewer>,
     colours: Option<&'a FrameColours>,
     /// Time of the last frame.
     last_ns: Option<i64>,
@@ -57,7 +57,7 @@ pub struct Tracking<'a> {
 impl<'a> Tracking<'a> {
     /// Before the first frame; what becomes of the frames is kept on the disk of `folder`.
     pub fn begin(
-        (pipeline, viewer, colours): (Pipeline, Option<Viewer>, Option<&'a FrameColours>),
+        (pipeline, viewer, colours): (Pipeline, Option<&'a mut Viewer>, Option<&'a FrameColours>),
         settings: &'a RunSettings,
         (input, folder): (&'a Input, &Path),
         interrupted: &'a AtomicBool,
@@ -264,8 +264,9 @@ impl<'a> Tracking<'a> {
                  --refine-calibration takes it out of the images"
             ));
         }
-        // it has seen all frames
-        drop(self.viewer);
+        if let Some(viewer) = self.viewer {
+            viewer.note_end();
+        }
         let mut released = |slam: &Slam| {
             if let Some(limit) = limit {
                 limit.squeeze(slam);

@@ -8,7 +8,7 @@ use super::report::{Reference, ReportInput, write_page};
 use super::sensed::{Sensed, sense};
 use super::sessions::{RECORDING, tracked_frame};
 use super::summary::{Summary, is_metric, unit_name};
-use super::threads::{Tracked, track};
+use super::threads::{Tracked, track, viewer};
 use super::tracking::EarlyEnd;
 use super::{MemoryLimit, RunSettings};
 use crate::colours::Colours;
@@ -69,7 +69,8 @@ pub fn run_all(
     save_when_interrupted();
     let config = settings.config.to_toml()?;
     folder.write("config.toml", &config)?;
-    let mut tracked = track(input, folder, settings, &INTERRUPTED)?;
+    let mut viewer = viewer(input, settings)?;
+    let mut tracked = track(input, folder, settings, viewer.as_mut(), &INTERRUPTED)?;
     let scans = final_depth(&mut tracked, settings.memory_limit, settings.show_progress);
     let mut looked = Looked::at(&tracked, &scans, align, input, settings);
     let (known, not_compared) = known_path(input, align, &tracked, &mut looked.frame);
@@ -120,11 +121,12 @@ pub fn run_all(
     play(&report, settings, &tracked, &poses)?;
     folder.write_with("report.html", |out| write_page(out, &tracked, &report))?;
     write_summary(folder, &mut summary)?;
+    let of_viewer = viewer.and_then(|viewer| viewer.end().err());
     Ok(Finished {
         outcome: summary.status.outcome(),
         summary,
         verdict,
-        failure,
+        failure: failure.or(of_viewer.map(str::to_owned)),
     })
 }
 
