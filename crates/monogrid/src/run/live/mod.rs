@@ -281,6 +281,8 @@ impl Viewer {
     pub fn note_end(&mut self) {
         self.live.has_ended.store(true, Ordering::Relaxed);
         self.ended.get_or_insert_with(Instant::now);
+        // the final maps need its memory
+        *lock(&self.live.map) = Map::Closed;
     }
 
     /// Ends the server, after everything is written, and within a time whatever viewers do.
