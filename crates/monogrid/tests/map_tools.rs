@@ -542,13 +542,20 @@ fn maps_and_points_are_seen_as_a_page_a_picture_and_over_loopback() {
     let failed = monogrid(["view", &folder.path("")]);
     assert_fails(&failed, 2, &["global.ot", "recording.mgk"]);
     served(&map, &page);
+    // a page that says nothing of what it may load
+    let own = "<!doctype html><script src=http://example.org></script>";
+    let run = folder.path("run");
+    fs::create_dir(&run).unwrap();
+    fs::copy(&map, Path::new(&run).join("global.ot")).unwrap();
+    fs::write(Path::new(&run).join("report.html"), own).unwrap();
+    served(&run, own);
 }
 
-/// The page over a socket is that of the file.
-fn served(map: &str, page: &str) {
-    use std::io::{BufRead, BufReader, Read, Write};
+/// The page over a socket is that of the file, or that of a folder, and it ends when it is told to, whatever clients do.
+fn served(what: &str, page: &str) {
+    use std::io::{BufRead, BufReader};
     let mut child = common::program()
-        .args(["view", map, "--json"])
+        .args(["view", what, "--json"])
         .stdout(std::process::Stdio::piped())
         .spawn()
         .unwrap();
@@ -559,17 +566,22 @@ fn served(map: &str, page: &str) {
         Some(url.split('"').next()?.to_owned())
     });
     let url = url.expect("an address");
-    let address = url.strip_prefix("http://").unwrap().trim_end_matches('/');
-    let mut stream = std::net::TcpStream::connect(address).unwrap();
-    write!(
-        stream,
-        "GET / HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n"
-    )
-    .unwrap();
-    let mut answer = Vec::new();
-    stream.read_to_end(&mut answer).unwrap();
-    child.kill().unwrap();
-    child.wait().unwrap();
-    assert!(answer.starts_with(b"HTTP/1.1 200"));
+    let clients = common::hostile_clients(&url);
+    let answer = common::get(&url);
+    let head = String::from_utf8_lossy(&answer[..answer.len() - page.len()]);
+    assert!(head.starts_with("HTTP/1.1 200"), "{head}");
+    let policy = "\r\nContent-Security-Policy: default-src 'none'; script-src";
+    assert!(head.contains(policy), "{head}");
     assert!(answer.ends_with(page.as_bytes()), "{} bytes", answer.len());
+    #[cfg(unix)]
+    {
+        let begin = std::time::Instant::now();
+        common::interrupt(&child);
+        assert_eq!(child.wait().unwrap().code(), Some(0));
+        assert!(begin.elapsed() < std::time::Duration::from_secs(2));
+    }
+    // where nothing interrupts it
+    let _ = child.kill();
+    child.wait().unwrap();
+    drop(clients);
 }

@@ -22,6 +22,7 @@ use monogrid_geometry::Vec3;
 use monogrid_occupancy::{Occupancy, read_ot};
 use monogrid_worlds::{ImuConfig, SynthSequence, write_sequence_imu};
 use std::fs;
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Output, Stdio};
 use std::time::{Duration, Instant};
@@ -557,6 +558,12 @@ fn started(source: &Path, out: &Path) -> std::process::Child {
         .stderr(Stdio::null())
         .spawn()
         .unwrap();
+    wait_for_keyframes(&mut child, out);
+    child
+}
+
+/// Waits until the recording of a run is a few keyframes long.
+fn wait_for_keyframes(child: &mut std::process::Child, out: &Path) {
     let begin = Instant::now();
     while !out.join("keyframes/00001_uncertainty.png").exists() {
         assert!(child.try_wait().unwrap().is_none(), "the run ended early");
@@ -566,7 +573,6 @@ fn started(source: &Path, out: &Path) -> std::process::Child {
         );
         std::thread::sleep(Duration::from_millis(5));
     }
-    child
 }
 
 #[test]
@@ -599,10 +605,7 @@ fn an_interrupt_saves_everything() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("out");
     let mut child = started(small_sequence(), &out);
-    let killed = std::process::Command::new("kill")
-        .args(["-INT", &child.id().to_string()])
-        .status();
-    assert!(killed.unwrap().success());
+    common::interrupt(&child);
     let status = child.wait().unwrap();
     assert_eq!(status.code(), Some(4), "a state of its own");
     let text = fs::read_to_string(out.join("summary.json")).unwrap();
@@ -762,7 +765,10 @@ fn rerun_looks_at_a_run_and_one_that_is_slow_gone_or_missing_harms_none() {
 
     let heard = dir.path().join("heard");
     let says = dir.path().join("says");
-    let takes = format!("echo \"$@\" > {}; : > \"$3\"", heard.display());
+    let takes = format!(
+        "read line; echo \"$@\" > {0}; echo \"$line\" >> {0}; : > \"$3\"",
+        heard.display()
+    );
     fake(&says, &takes);
     let file = dir.path().join("a run.rrd");
     let rrd = format!("--view=rrd={}", file.display());
@@ -770,9 +776,10 @@ fn rerun_looks_at_a_run_and_one_that_is_slow_gone_or_missing_harms_none() {
     assert_eq!(code(&output), 0, "{}", stderr(&output));
     assert!(!stderr(&output).contains("warning: monogrid-rerun"));
     let heard = fs::read_to_string(heard).unwrap();
-    let expected = format!("/ --rrd {}", file.display());
-    assert!(heard.starts_with("http://127.0.0.1:"), "{heard}");
-    assert!(heard.trim_end().ends_with(&expected), "{heard}");
+    // arguments are seen by every user of the computer
+    let expected = format!("- --rrd {}\nhttp://127.0.0.1:", file.display());
+    assert!(heard.starts_with(&expected), "{heard}");
+    assert!(heard.ends_with("/\n"), "{heard}");
     fs::write(&file, "another").unwrap();
     assert_fails(&view(&says, "twice", &rrd), 2, &["exists"]);
 
@@ -793,5 +800,78 @@ fn rerun_looks_at_a_run_and_one_that_is_slow_gone_or_missing_harms_none() {
         assert!(stderr(&output).contains(said), "{}", stderr(&output));
         let path = |run: &str| fs::read(dir.path().join(run).join("trajectory.txt")).unwrap();
         assert_eq!(path(&format!("{name}-run")), path("plain"));
+    }
+}
+
+/// A run that is watched, and the address of its page.
+fn watched(out: &Path, more: &[&str]) -> (std::process::Child, String) {
+    let mut command = program();
+    command
+        .arg("run")
+        .arg(small_sequence())
+        .arg("--out")
+        .arg(out);
+    command
+        .args(["--seed-depth", "dataset", "--view"])
+        .args(more);
+    command.stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    let mut said = BufReader::new(child.stderr.take().unwrap()).lines();
+    let url = said.find_map(|line| {
+        let line = line.unwrap();
+        let rest = &line[line.find("http://127.0.0.1:")?..];
+        Some(rest.split_whitespace().next()?.to_owned())
+    });
+    // a program that cannot say anything fails
+    std::thread::spawn(move || said.for_each(drop));
+    (child, url.expect("an address"))
+}
+
+#[test]
+fn clients_that_are_held_open_hold_up_no_run_and_the_address_is_in_no_file() {
+    let dir = tempfile::tempdir().unwrap();
+    let (plain, seen) = (dir.path().join("plain"), dir.path().join("seen"));
+    let short = ["--max-frames", "60", "--resolution", "0.1"];
+    let begin = Instant::now();
+    assert_eq!(code(&run(small_sequence(), &plain, &short)), 0);
+    let time = begin.elapsed();
+    let begin = Instant::now();
+    let (mut child, url) = watched(&seen, &short);
+    let clients = common::hostile_clients(&url);
+    assert!(common::get(&url).starts_with(b"HTTP/1.1 200"));
+    assert_eq!(child.wait().unwrap().code(), Some(0));
+    // other tests take their share of the computer; a client that is waited for is waited for without an end
+    assert!(begin.elapsed() < 3 * time + Duration::from_secs(10));
+    drop(clients);
+    let (plain, seen) = (files(&plain), files(&seen));
+    let names = |files: &[(String, Vec<u8>)]| -> Vec<String> {
+        files.iter().map(|(name, _)| name.clone()).collect()
+    };
+    assert_eq!(names(&plain), names(&seen));
+    let token = url.trim_end_matches('/').rsplit('/').next().unwrap();
+    for ((name, expected), (_, bytes)) in plain.iter().zip(&seen) {
+        let has_token = bytes.windows(token.len()).any(|w| w == token.as_bytes());
+        assert!(!has_token, "{name} holds the address");
+        assert!(holds_time(name) || expected == bytes, "{name} differs");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupt_saves_whatever_clients_do() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    let (mut child, url) = watched(&out, &["--realtime"]);
+    let clients = common::hostile_clients(&url);
+    wait_for_keyframes(&mut child, &out);
+    common::interrupt(&child);
+    assert_eq!(child.wait().unwrap().code(), Some(4));
+    drop(clients);
+    let names: Vec<String> = files(&out).into_iter().map(|(name, _)| name).collect();
+    for name in ["trajectory.txt", "global.ot", "summary.json", "report.html"] {
+        assert!(
+            names.iter().any(|known| known == name),
+            "{name} of {names:?}"
+        );
     }
 }

@@ -14,22 +14,29 @@ const MAX_ANSWER: u64 = 512 << 20;
 pub struct Page {
     /// Name of the computer and port.
     host: String,
+    /// What paths of this run begin with: a slash and a word that only those know who may see it.
+    token: String,
 }
 
 impl Page {
-    /// The page at an address such as `http://127.0.0.1:8080/`.
+    /// The page at an address such as `http://127.0.0.1:8080/0a1b2c/`.
     ///
     /// # Errors
     /// An address that is none, in a sentence.
     pub fn at(url: &str) -> Result<Self, String> {
-        let host = url.strip_prefix("http://");
-        let host = host.map(|rest| rest.trim_end_matches('/'));
-        let host = host.filter(|host| host.contains(':') && !host.contains('/'));
-        let host = host.map(|host| Self {
-            host: host.to_owned(),
+        let rest = url.strip_prefix("http://");
+        let parts = rest.and_then(|rest| rest.trim_end_matches('/').split_once('/'));
+        let parts = parts.filter(|(host, token)| {
+            host.contains(':')
+                && !token.is_empty()
+                && token.bytes().all(|byte| byte.is_ascii_hexdigit())
         });
-        host.ok_or_else(|| {
-            format!("{url} is no address of a run, expected http://127.0.0.1:PORT/ as `monogrid run --view` prints it")
+        let page = parts.map(|(host, token)| Self {
+            host: host.to_owned(),
+            token: format!("/{token}"),
+        });
+        page.ok_or_else(|| {
+            format!("{url} is no address of a run, expected http://127.0.0.1:PORT/TOKEN/ as `monogrid run --view` prints it")
         })
     }
 
@@ -40,10 +47,10 @@ impl Page {
     pub fn ask(&self, path: &str) -> io::Result<Vec<u8>> {
         let mut stream = TcpStream::connect(&self.host)?;
         stream.set_read_timeout(Some(PATIENCE))?;
-        let host = &self.host;
+        let Self { host, token } = self;
         write!(
             stream,
-            "GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n"
+            "GET {token}{path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n"
         )?;
         let mut answer = Vec::new();
         stream.take(MAX_ANSWER).read_to_end(&mut answer)?;
@@ -80,25 +87,49 @@ mod tests {
 
     #[test]
     fn addresses_are_those_that_a_run_prints() {
-        let page = Page::at("http://127.0.0.1:8080/");
+        let page = Page::at("http://127.0.0.1:8080/0a1b/");
         assert_eq!(
             page,
             Ok(Page {
-                host: "127.0.0.1:8080".into()
+                host: "127.0.0.1:8080".into(),
+                token: "/0a1b".into(),
             })
         );
         for wrong in [
             "",
             "video.mp4",
             "https://127.0.0.1:1/",
-            "http://127.0.0.1/",
-            "http://a:1/b",
+            "http://127.0.0.1:1/",
+            "http://127.0.0.1:1//",
+            "http://127.0.0.1/0a1b/",
+            "http://127.0.0.1:1/0a1b/live/",
+            "http://127.0.0.1:1/a b/",
         ] {
             assert!(
                 Page::at(wrong).is_err_and(|said| said.contains("expected")),
                 "{wrong}"
             );
         }
+    }
+
+    #[test]
+    fn questions_go_below_the_token_of_the_run() {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
+        let page = Page::at(&format!("http://{address}/0a1b/")).unwrap();
+        let run = std::thread::spawn(move || {
+            let mut stream = listener.accept().unwrap().0;
+            let mut asked = [0; 200];
+            let count = stream.read(&mut asked).unwrap();
+            stream
+                .write_all(b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\n{}")
+                .unwrap();
+            String::from_utf8_lossy(&asked[..count]).into_owned()
+        });
+        assert_eq!(page.ask("/live/0/0/1").unwrap(), b"{}");
+        let asked = run.join().unwrap();
+        let expected = format!("GET /0a1b/live/0/0/1 HTTP/1.1\r\nHost: {address}\r\n");
+        assert!(asked.starts_with(&expected), "{asked}");
     }
 
     #[test]

@@ -18,9 +18,10 @@ use std::time::Duration;
 /// Time between questions.
 const ASK_EVERY: Duration = Duration::from_millis(150);
 
-const USAGE: &str = "usage: monogrid-rerun http://127.0.0.1:PORT/ [--rrd FILE]
+const USAGE: &str = "usage: monogrid-rerun http://127.0.0.1:PORT/TOKEN/ [--rrd FILE]
 
 Shows the run of `monogrid run --view` at this address in the Rerun viewer (the program `rerun` on the PATH), or writes it to FILE.
+With - in place of the address, it is the first line of standard input, which other users of the computer do not see.
 `monogrid run --view=rerun` and `--view=rrd=FILE` call it.";
 
 fn main() -> ExitCode {
@@ -38,13 +39,24 @@ fn main() -> ExitCode {
             return ExitCode::from(2);
         }
     };
-    match follow(url, file.as_deref()) {
+    let url = match url {
+        "-" => first_line(),
+        url => Ok(url.to_owned()),
+    };
+    match url.and_then(|url| follow(&url, file.as_deref())) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("monogrid-rerun: {error}");
             ExitCode::FAILURE
         }
     }
+}
+
+/// The address on standard input.
+fn first_line() -> Result<String, Box<dyn Error>> {
+    let mut line = String::new();
+    std::io::stdin().read_line(&mut line)?;
+    Ok(line.trim_end().to_owned())
 }
 
 /// Asks until the run says that nothing more comes.

@@ -8,6 +8,8 @@ import { KeyframeView } from 'explorer/keyframe';
 import { View } from 'explorer/view';
 
 const ASK_EVERY_MS = 300;
+// a busy server may leave a question unanswered; after so many in a row there is none
+const MAX_UNANSWERED = 5;
 const byId = (id) => document.getElementById(id);
 
 const IDENTITY = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0];
@@ -23,6 +25,7 @@ function matrixOf(rows, unit) {
 class Live {
   constructor() {
     this.version = 0;
+    this.unanswered = 0;
     this.path = [];
     this.keyframes = new Map();
     this.points = new Map();
@@ -60,14 +63,22 @@ class Live {
   async ask() {
     let news;
     try {
-      const answer = await fetch(`/live/${this.version}/${this.path.length}/${this.groups.cells.visible ? 1 : 0}`);
+      // relative: the address of the page holds a token
+      const answer = await fetch(`live/${this.version}/${this.path.length}/${this.groups.cells.visible ? 1 : 0}`);
       news = await answer.json();
+      this.unanswered = 0;
     } catch {
-      byId('live-state').textContent = 'Tracking has ended: report.html shows the result as soon as the final maps are done.';
+      this.unanswered += 1;
+      this.goOn(this.unanswered === MAX_UNANSWERED);
       return;
     }
     this.take(news);
-    setTimeout(() => this.ask(), ASK_EVERY_MS);
+    this.goOn(news.ended);
+  }
+
+  goOn(hasEnded) {
+    if (hasEnded) byId('live-state').textContent = 'Tracking has ended: report.html shows the result as soon as the final maps are done.';
+    else setTimeout(() => this.ask(), ASK_EVERY_MS);
   }
 
   take(news) {

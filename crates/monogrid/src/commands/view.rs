@@ -3,8 +3,8 @@
 use crate::args::WriteArgs;
 use crate::colours::Colours;
 use crate::explorer::{
-    Answer, Camera, Cells, Cloud, CloudPoint, PageMesh, Scene, SemiDense, Server, ShownKeyframe,
-    cloud_and_keyframes, point_groups, section,
+    Answer, Camera, Cells, Cloud, CloudPoint, POLICY, PageMesh, Scene, SemiDense, Server,
+    ShownKeyframe, cloud_and_keyframes, point_groups, section,
 };
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::keyframe_pixels::from_recorded;
@@ -24,6 +24,7 @@ use monogrid_worlds::MeshModel;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 /// `monogrid view`.
 #[derive(Debug, Args)]
@@ -79,8 +80,13 @@ pub fn execute(args: &ViewArgs) -> CommandResult {
     }
     if let Some(server) = server {
         ctrlc::set_handler(|| STOP.store(true, Ordering::Relaxed)).map_err(Failure::running)?;
-        let page = Answer::page(page);
-        server.serve(&STOP, |path| (path == "/").then(|| page.clone()));
+        // also where the page is one that somebody else wrote
+        let page = Answer::page(page, POLICY);
+        let serving = server.start(move |path| (path == "/").then(|| page.clone()))?;
+        while !STOP.load(Ordering::Relaxed) && !serving.is_dead() {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        serving.end().map_err(Failure::running)?;
     }
     Ok(Outcome::Done)
 }

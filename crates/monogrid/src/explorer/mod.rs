@@ -20,5 +20,5 @@ pub use cloud::{Cloud, CloudPoint, SemiDense};
 pub use mesh::PageMesh;
 pub use page::{LIVE_POLICY, POLICY, STYLE, live_section, section, write_section};
 pub use scene::{Camera, Frames, Keyframe, PathPoint, Scene, seconds_since};
-pub use server::{Answer, Server};
+pub use server::{Answer, Server, Serving};
 pub use shown::{Look, ShownKeyframe, cloud_and_keyframes, measured_in, point_groups, small_jpeg};

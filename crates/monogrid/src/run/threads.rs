@@ -53,6 +53,7 @@ pub fn track(
     input: &Input,
     folder: &Arc<OutputFolder>,
     settings: &RunSettings,
+    viewer: Option<&mut Viewer>,
     interrupted: &AtomicBool,
 ) -> Result<Tracked, Failure> {
     let session = session_info(input, settings)?;
@@ -76,7 +77,9 @@ pub fn track(
         pace: settings.pace,
         must_be_used: settings.seed_depth.as_ref().map(|(seeded, _)| *seeded),
     };
-    let viewer = viewer(&mut pipeline, input, settings)?;
+    if let Some(viewer) = &viewer {
+        pipeline.listen(viewer.ear()).map_err(Failure::running)?;
+    }
     let places = (input, folder.path());
     let colours = frame_colours.as_deref();
     let mut tracking = Tracking::begin((pipeline, viewer, colours), settings, places, interrupted);
@@ -93,20 +96,14 @@ pub fn track(
 }
 
 /// Shows the run while it goes on, if that is wanted.
-fn viewer(
-    pipeline: &mut Pipeline,
-    input: &Input,
-    settings: &RunSettings,
-) -> Result<Option<Viewer>, Failure> {
+pub fn viewer(input: &Input, settings: &RunSettings) -> Result<Option<Viewer>, Failure> {
     let Some(view) = &settings.view else {
         return Ok(None);
     };
     let (width, height) = input.size();
     let title = format!("monogrid: {}", input.name);
     let total = input.expected_frames().unwrap_or(0);
-    let viewer = Viewer::start(view, &title, (input.pinhole(), [width, height]), total)?;
-    pipeline.listen(viewer.ear()).map_err(Failure::running)?;
-    Ok(Some(viewer))
+    Viewer::start(view, &title, (input.pinhole(), [width, height]), total).map(Some)
 }
 
 /// A new pipeline, or one that goes on with the map of an earlier run.

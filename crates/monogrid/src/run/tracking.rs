@@ -54,7 +54,7 @@ pub struct Tracking<'a> {
     calibration: CalibrationCheck<'a>,
     shutter: ShutterSearch,
     progress: Progress,
-    viewer: Option<Viewer>,
+    viewer: Option<&'a mut Viewer>,
     colours: Option<&'a FrameColours>,
     /// Time of the last frame.
     last_ns: Option<i64>,
@@ -63,7 +63,7 @@ pub struct Tracking<'a> {
 impl<'a> Tracking<'a> {
     /// Before the first frame; what becomes of the frames is kept on the disk of `folder`.
     pub fn begin(
-        (pipeline, viewer, colours): (Pipeline, Option<Viewer>, Option<&'a FrameColours>),
+        (pipeline, viewer, colours): (Pipeline, Option<&'a mut Viewer>, Option<&'a FrameColours>),
         settings: &'a RunSettings,
         (input, folder): (&'a Input, &Path),
         interrupted: &'a AtomicBool,
@@ -305,8 +305,9 @@ impl<'a> Tracking<'a> {
         self.early_end = self.early_end.take().or_else(|| self.end_of_source(&rows));
         let doubts = self.doubts(&rows);
         let limit = self.settings.memory_limit;
-        // it has seen all frames
-        drop(self.viewer);
+        if let Some(viewer) = self.viewer {
+            viewer.note_end();
+        }
         let mut released = |slam: &Slam| {
             if let Some(limit) = limit {
                 limit.squeeze(slam);

@@ -8,7 +8,7 @@ use super::report::{Reference, ReportInput, write_page};
 use super::sensed::{Sensed, sense};
 use super::sessions::{RECORDING, tracked_frame};
 use super::summary::{Summary, is_metric, unit_name};
-use super::threads::{Tracked, track};
+use super::threads::{Tracked, track, viewer};
 use super::tracking::EarlyEnd;
 use super::{MemoryLimit, RunSettings};
 use crate::colours::Colours;
@@ -68,7 +68,8 @@ pub fn run_all(
     interrupt::listen();
     let config = settings.config.to_toml()?;
     folder.write("config.toml", &config)?;
-    let mut tracked = track(input, folder, settings, &INTERRUPTED)?;
+    let mut viewer = viewer(input, settings)?;
+    let mut tracked = track(input, folder, settings, viewer.as_mut(), &INTERRUPTED)?;
     let scans = final_depth(&mut tracked, settings);
     let mut looked = Looked::at(&tracked, &scans, align, input, settings);
     let (known, not_compared) = known_path(input, align, &tracked, &mut looked.frame);
@@ -99,8 +100,7 @@ pub fn run_all(
     };
     let pictures = maps.as_ref().map(write).transpose()?;
     let mut extras = extras(&tracked, maps.as_ref())?;
-    let doubts = tracked.doubts.iter().cloned();
-    extras.warnings.extend(doubts.chain(not_compared));
+    (extras.warnings).extend(tracked.doubts.iter().cloned().chain(not_compared));
     let mut summary = summary(input, settings, &tracked, &looked, maps.as_ref(), extras);
     let verdict = verdict(&summary, &tracked);
     let report = ReportInput {
@@ -123,7 +123,7 @@ pub fn run_all(
         outcome: summary.status.outcome(),
         summary,
         verdict,
-        failure,
+        failure: failure.or(viewer.and_then(|viewer| viewer.end().err().map(str::to_owned))),
     })
 }
 

@@ -86,7 +86,7 @@ fn run_once(job: &RateJob, entry: Entry) -> Result<Rate, Failure> {
         ..RunSettings::new(config, job.threads)
     };
     let begin = Instant::now();
-    let tracked = track(job.input, &folder, &settings, &AtomicBool::new(false))?;
+    let tracked = track(job.input, &folder, &settings, None, &AtomicBool::new(false))?;
     let seconds = begin.elapsed().as_secs_f64();
     // the rates are all that is wanted of the run
     if let Some(folder) = Arc::into_inner(folder) {

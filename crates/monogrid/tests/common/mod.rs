@@ -2,8 +2,10 @@
 #![allow(dead_code, reason = "every test file uses a part")]
 
 use monogrid_worlds::{SynthSequence, WriteConfig, write_tum_layout};
+use std::io::{Read, Write};
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output};
 use std::sync::OnceLock;
 
 /// The program.
@@ -134,4 +136,49 @@ pub fn write_scans(path: &Path) {
 pub fn clean_up() {
     let folder = std::env::temp_dir().join(format!("monogrid-small-{}", std::process::id()));
     let _ = std::fs::remove_dir_all(folder);
+}
+
+/// Clients of the page at this address that nobody wants, held open: one promises a body, one a body of 70 TB, one does not read what it
+/// asks for, one begins a request and leaves it at that.
+pub fn hostile_clients(url: &str) -> Vec<TcpStream> {
+    let (host, path) = parts_of_url(url);
+    let rest = format!("{path} HTTP/1.1\r\nHost: {host}\r\n");
+    let requests = [
+        format!("POST {rest}Content-Length: 5000\r\n\r\n"),
+        format!("POST {rest}Content-Length: 70368744177664\r\n\r\n"),
+        format!("GET {rest}\r\n").repeat(60),
+        format!("GET {rest}"),
+    ];
+    let send = |request: &String| {
+        let mut stream = TcpStream::connect(host).unwrap();
+        stream.write_all(request.as_bytes()).unwrap();
+        stream
+    };
+    requests.iter().map(send).collect()
+}
+
+/// Everything that is answered to a request for the page at this address.
+pub fn get(url: &str) -> Vec<u8> {
+    let (host, path) = parts_of_url(url);
+    let mut stream = TcpStream::connect(host).unwrap();
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: {host}\r\n\r\n").unwrap();
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).unwrap();
+    answer
+}
+
+/// `127.0.0.1:8080` and `/0a1b/`.
+fn parts_of_url(url: &str) -> (&str, &str) {
+    let rest = url.strip_prefix("http://127.0.0.1:").unwrap();
+    let (_, path) = rest.split_once('/').unwrap();
+    assert!(path.len() == 33 && path.ends_with('/'), "a token: {url}");
+    let host = "http://".len()..url.len() - path.len() - 1;
+    (&url[host], &url[url.len() - path.len() - 1..])
+}
+
+/// Interrupts a program as Ctrl-C does.
+pub fn interrupt(child: &Child) {
+    let id = child.id().to_string();
+    let sent = Command::new("kill").args(["-INT", &id]).status();
+    assert!(sent.unwrap().success());
 }

@@ -98,10 +98,7 @@ impl Shown {
         let mut news = self.news(&known, (since, from), has_ended);
         news.cells = wants_cells.then(|| self.cells()).flatten();
         let json = serde_json::to_vec(&news).ok()?;
-        Some(Answer {
-            kind: "application/json",
-            content: json.into(),
-        })
+        Some(Answer::json(json))
     }
 
     fn news(&self, known: &Known, (since, from): (u64, usize), has_ended: bool) -> News {
@@ -227,7 +224,7 @@ mod tests {
     }
 
     fn ask(shown: &Shown, path: &str) -> Value {
-        serde_json::from_slice(&shown.answer(path).unwrap().content).unwrap()
+        serde_json::from_slice(shown.answer(path).unwrap().content()).unwrap()
     }
 
     #[test]

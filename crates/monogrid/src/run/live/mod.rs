@@ -2,7 +2,7 @@
 //!
 //! The run puts what it knows into [`Live`], which only holds references to what exists anyway; everything that costs time, such as
 //! packing points or pictures, is done on the thread of the server, when a browser asks; the map grows only while a browser looks at
-//! its cells. So a slow or absent viewer costs nothing.
+//! its cells. So a slow or absent viewer costs nothing, and nothing waits for one before all results are written.
 
 mod answers;
 
@@ -10,8 +10,8 @@ mod rerun;
 
 pub use rerun::View;
 
-use crate::explorer::{Answer, LIVE_POLICY, PathPoint, Server, live_section};
-use crate::failure::{Classify, Failure};
+use crate::explorer::{Answer, LIVE_POLICY, PathPoint, Server, Serving, live_section};
+use crate::failure::Failure;
 use crate::report::Page;
 use crate::run::frames::FrameRow;
 use answers::Shown;
@@ -26,7 +26,6 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// Images are kept for a browser only while one asks, and so often at most.
@@ -208,11 +207,13 @@ impl Listener for Ear {
 }
 
 /// The server of a run, which ends with this.
+#[derive(Debug)]
 pub struct Viewer {
     live: Arc<Live>,
-    stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
+    serving: Option<Serving>,
     rerun: Option<Rerun>,
+    /// When there were no more frames.
+    ended: Option<Instant>,
     last_image: Option<Instant>,
 }
 
@@ -231,29 +232,20 @@ impl Viewer {
         let server = Server::listen(port)?;
         let url = server.url();
         let live = Arc::new(Live::new(total));
-        let stop = Arc::new(AtomicBool::new(false));
         let mut page = Page::default();
         page.html(&live_section()?);
-        let page = Answer::page(page.finish_with(title, "This run goes on.", LIVE_POLICY));
+        let page = page.finish_with(title, "This run goes on.", LIVE_POLICY);
+        let page = Answer::page(page, LIVE_POLICY);
         let shown = Shown::new(Arc::clone(&live), camera);
-        let thread = {
-            let stop = Arc::clone(&stop);
-            let serve = move || {
-                server.serve(&stop, |path| match path {
-                    "/" => Some(page.clone()),
-                    path => shown.answer(path),
-                });
-            };
-            let named = std::thread::Builder::new().name("viewer".to_owned());
-            named
-                .spawn(serve)
-                .while_running("the viewer cannot be started")?
-        };
+        let serving = server.start(move |path| match path {
+            "/" => Some(page.clone()),
+            path => shown.answer(path),
+        })?;
         let mut viewer = Self {
             live,
-            stop,
-            thread: Some(thread),
+            serving: Some(serving),
             rerun: None,
+            ended: None,
             last_image: None,
         };
         match view {
@@ -284,18 +276,35 @@ impl Viewer {
         self.live.take(row, image);
         self.live.follow_map(|| pipeline.live_map_later());
     }
+
+    /// Tells those who ask that there are no more frames; they take the last news while results are made.
+    pub fn note_end(&mut self) {
+        self.live.has_ended.store(true, Ordering::Relaxed);
+        self.ended.get_or_insert_with(Instant::now);
+        // the final maps need its memory
+        *lock(&self.live.map) = Map::Closed;
+    }
+
+    /// Ends the server, after everything is written, and within a time whatever viewers do.
+    ///
+    /// # Errors
+    /// A panic in one of its threads, in a sentence.
+    pub fn end(mut self) -> Result<(), &'static str> {
+        self.close()
+    }
+
+    fn close(&mut self) -> Result<(), &'static str> {
+        self.note_end();
+        if let (Some(rerun), Some(ended)) = (self.rerun.take(), self.ended) {
+            rerun.end(ended);
+        }
+        self.serving.take().map_or(Ok(()), Serving::end)
+    }
 }
 
 impl Drop for Viewer {
     fn drop(&mut self) {
-        self.live.has_ended.store(true, Ordering::Relaxed);
-        if let Some(rerun) = self.rerun.take() {
-            rerun.end();
-        }
-        self.stop.store(true, Ordering::Relaxed);
-        if let Some(thread) = self.thread.take() {
-            // one that failed has nothing left to say
-            let _ = thread.join();
-        }
+        // a run that failed says why itself
+        let _ = self.close();
     }
 }

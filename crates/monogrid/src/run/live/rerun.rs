@@ -1,6 +1,7 @@
 //! The Rerun viewer: a program of its own that asks the page of a run as a browser does.
 
 use crate::failure::{Classify, Failure};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -65,7 +66,7 @@ fn program() -> Result<PathBuf, Failure> {
     })
 }
 
-/// How long the end of tracking waits for the last news to be taken.
+/// How long after the last frame there is time for the last news to be taken.
 const LAST_NEWS: Duration = Duration::from_secs(3);
 
 /// The program while it looks at a run.
@@ -80,31 +81,36 @@ impl Rerun {
     pub fn start(url: &str, file: Option<&Path>) -> Result<Self, Failure> {
         let program = program()?;
         let mut command = Command::new(&program);
+        // every user of this computer sees arguments, and whoever knows the address sees the run
+        command.arg("-").stdin(Stdio::piped());
         // nothing of this process is held open by it, nor by a viewer that outlives both
-        command.arg(url).stdin(Stdio::null());
         command.stdout(Stdio::null()).stderr(Stdio::null());
         if let Some(file) = file {
             command.arg("--rrd").arg(file);
         }
         let doing = format!("{} cannot be started", program.display());
+        let mut child = command.spawn().while_running(&doing)?;
+        if let Some(mut input) = child.stdin.take() {
+            // what becomes of a program that does not read it is seen in the end
+            let _ = writeln!(input, "{url}");
+        }
         Ok(Self {
-            child: command.spawn().while_running(&doing)?,
+            child,
             file: file.map(Path::to_owned),
         })
     }
 
-    /// Waits until it has taken the last news, but not for long; what it lacks is said.
-    pub fn end(mut self) {
-        if let Some(lack) = self.wait() {
+    /// Waits until it has taken the last news, but not for long after the last frame; what it lacks is said.
+    pub fn end(mut self, last_frame: Instant) {
+        if let Some(lack) = self.wait(last_frame) {
             eprintln!("warning: {PROGRAM} {lack}");
         }
     }
 
-    fn wait(&mut self) -> Option<String> {
-        let begin = Instant::now();
+    fn wait(&mut self, last_frame: Instant) -> Option<String> {
         let status = loop {
             match self.child.try_wait() {
-                Ok(None) if begin.elapsed() < LAST_NEWS => {
+                Ok(None) if last_frame.elapsed() < LAST_NEWS => {
                     std::thread::sleep(Duration::from_millis(20));
                 }
                 Ok(Some(status)) => break status,
