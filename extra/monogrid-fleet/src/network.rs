@@ -72,7 +72,10 @@ impl Settings {
             path: path.to_owned(),
             error,
         })?;
-        let named = json5::from_str(&text).map_err(|error| content(error.to_string()))?;
+        let named: Value = json5::from_str(&text).map_err(|error| content(error.to_string()))?;
+        if !named.is_object() {
+            return Err(content("found no object".to_owned()));
+        }
         let config = zenoh::Config::from_json5(&text);
         let config = config.map_err(|error| content(error.to_string()))?;
         Ok(Self { config, named })

@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{PROGRAM, endpoint, link, server_config, session};
+use common::{PROGRAM, endpoint, linked, server_config, session};
 use monogrid_datasets::{ReadOptions, Recording};
 use monogrid_fleet::agent::{Agent, AgentConfig, Delivered, Link, LinkError};
 use monogrid_fleet::messages::{Fleet, PREFIX, RunKey};
@@ -223,7 +223,7 @@ fn a_server_refuses_what_is_no_packet_says_what_it_misses_and_goes_on_after_a_re
     };
 
     let serving = serve();
-    let link = link(&endpoint);
+    let link = linked(&endpoint);
     let mut damaged = packet.clone();
     damaged[20] ^= 1;
     assert!(refused(&link, damaged).contains("checksum"));
@@ -253,7 +253,7 @@ fn a_server_refuses_what_is_no_packet_says_what_it_misses_and_goes_on_after_a_re
     fs::write(folder.path().join("agents/runs.txt"), list.repeat(2)).unwrap();
     is_over.store(false, Ordering::Relaxed);
     let serving = serve();
-    let link = link(&endpoint);
+    let link = linked(&endpoint);
     assert_eq!(link.deliver(&run.key("missing"), None).unwrap().from, 1);
     assert_eq!(link.ask(&key(0), None).unwrap(), packet);
     let fleet = link.fleet().unwrap();

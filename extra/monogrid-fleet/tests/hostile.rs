@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{PROGRAM, endpoint, link, server_config, session};
+use common::{PROGRAM, endpoint, linked, server_config, session};
 use monogrid_datasets::{
     Continuation, DepthPixel, EndRecord, KeyframeRecord, PoseSnapshot, Record, RecordedFrame,
     SessionInfo, encode_jpeg,
@@ -263,7 +263,7 @@ fn whatever_one_agent_sends_is_refused_and_named_and_another_one_is_served() {
     let folder = tempfile::tempdir().unwrap();
     let endpoint = endpoint();
     let serving = Serving::start(server_config(&endpoint, folder.path()));
-    let (liar, honest) = (link(&endpoint), link(&endpoint));
+    let (liar, honest) = (linked(&endpoint), linked(&endpoint));
     let mut attacker = Sender::new(&liar, "liar", 1);
     attacker.record(&session()).unwrap();
     for id in 0..3 {
@@ -307,7 +307,7 @@ fn limits_are_kept_of_each_agent_and_of_all_and_after_a_restart() {
     };
     for _ in 0..2 {
         let serving = Serving::start(config.clone());
-        let link = link(&endpoint);
+        let link = linked(&endpoint);
         let begin = |name: &str, run: u64| {
             let mut sender = Sender::new(&link, name, run);
             sender.next = link.deliver(&sender.run.key("missing"), None).unwrap().from;
@@ -405,7 +405,7 @@ fn a_run_that_cannot_be_joined_is_set_apart_and_named() {
     let mut config = server_config(&endpoint, folder.path());
     config.until_ended = Some(4);
     let serving = Serving::start(config);
-    let link = link(&endpoint);
+    let link = linked(&endpoint);
     // the same recording of two agents is an error of merge-runs; and what came first is nothing at all
     Sender::new(&link, "empty", 9).record(&session()).unwrap();
     for (name, seed) in [("a", 1), ("b", 2), ("copy", 1), ("c", 3)] {
@@ -440,7 +440,7 @@ fn when_no_maps_can_be_joined_at_all_no_run_is_blamed() {
     let mut config = server_config(&endpoint, folder.path());
     config.joining.program = vec!["false".into()];
     let serving = Serving::start(config);
-    let link = link(&endpoint);
+    let link = linked(&endpoint);
     deliver(&link, "a", 1);
     deliver(&link, "b", 2);
     let (fleet, said) = serving.thread.join().unwrap();
@@ -459,7 +459,7 @@ fn a_joining_that_never_ends_is_ended() {
     config.joining.program = ["bash", "-c", "sleep 1000"].map(Into::into).into();
     config.joining.within = Duration::from_millis(200);
     let serving = Serving::start(config);
-    let link = link(&endpoint);
+    let link = linked(&endpoint);
     deliver(&link, "a", 1);
     deliver(&link, "b", 2);
     let (_, said) = serving.thread.join().unwrap();
@@ -474,7 +474,7 @@ fn a_run_of_an_earlier_server_that_cannot_be_gone_on_with_is_closed_and_the_serv
     let folder = tempfile::tempdir().unwrap();
     let endpoint = endpoint();
     let serving = Serving::start(server_config(&endpoint, folder.path()));
-    let honest = link(&endpoint);
+    let honest = linked(&endpoint);
     deliver(&honest, "a", 1);
     Sender::new(&honest, "b", 2).record(&session()).unwrap();
     Sender::new(&honest, "c", 3).record(&session()).unwrap();
@@ -494,7 +494,7 @@ fn a_run_of_an_earlier_server_that_cannot_be_gone_on_with_is_closed_and_the_serv
     .unwrap();
 
     let serving = Serving::start(server_config(&endpoint, folder.path()));
-    let link = link(&endpoint);
+    let link = linked(&endpoint);
     for (name, run, next) in [("b", 2, 2), ("c", 3, 0)] {
         let mut sender = Sender::new(&link, name, run);
         sender.next = link.deliver(&sender.run.key("missing"), None).unwrap().from;
@@ -521,7 +521,7 @@ fn nobody_but_the_server_says_how_the_fleet_is() {
     let mut config = server_config(&endpoint, folder.path());
     (config.until_ended, config.joining.every) = (None, Duration::ZERO);
     let serving = Serving::start(config);
-    let (liar, honest) = (link(&endpoint), link(&endpoint));
+    let (liar, honest) = (linked(&endpoint), linked(&endpoint));
     let forged = serde_json::to_string(&Fleet::default()).unwrap();
     liar.publish(&format!("{PREFIX}/fleet"), forged).unwrap();
     // what comes behind it has come

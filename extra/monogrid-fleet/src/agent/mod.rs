@@ -83,6 +83,8 @@ pub struct Agent {
     run: Option<RunKey>,
     first_ns: Option<i64>,
     link: LinkState,
+    /// Why the server could not be reached when that was last said.
+    unreached: Option<String>,
     /// Number of the packet that is next, as the server said.
     next: u64,
     fleet: Fleet,
@@ -123,6 +125,7 @@ impl Agent {
             run: None,
             first_ns: None,
             link: LinkState::Down(Instant::now()),
+            unreached: None,
             next: 0,
             fleet: Fleet::default(),
             told: None,
@@ -200,6 +203,9 @@ impl Agent {
             Err(LinkError::Lost(why)) => {
                 if matches!(self.link, LinkState::Up(_)) {
                     say(format!("the link is lost, the run goes on: {why}"));
+                } else if self.unreached.as_ref() != Some(&why) {
+                    say(format!("no server yet, the run goes on: {why}"));
+                    self.unreached = Some(why);
                 }
                 self.link = LinkState::Down(Instant::now() + RETRY_AFTER);
                 false

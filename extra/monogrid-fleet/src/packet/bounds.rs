@@ -47,7 +47,7 @@ pub(super) fn at_most(what: &'static str, bytes: u64, limit: u64) -> Result<(), 
 }
 
 /// Refuses a size that no image of a recording has.
-pub(super) fn check_size((width, height): (u16, u16)) -> Result<(), PacketError> {
+pub(crate) fn check_size((width, height): (u16, u16)) -> Result<(), PacketError> {
     let pixels = usize::from(width) * usize::from(height);
     if width.max(height) > MAX_SIDE || !(1..=MAX_PIXELS).contains(&pixels) {
         let found = format!("{width}x{height} px");

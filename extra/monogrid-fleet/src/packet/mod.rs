@@ -5,8 +5,8 @@ mod depth;
 mod keyframe;
 mod part;
 
-pub(crate) use bounds::check_record;
 pub use bounds::{MAX_PACKET_BYTES, MAX_PIXELS, MAX_RECORD_BYTES, MAX_SIDE};
+pub(crate) use bounds::{check_record, check_size};
 pub use depth::{IDEPTH_STEP, PackedDepth, SIGMA_STEPS_PER_OCTAVE};
 pub use keyframe::PackedKeyframe;
 pub use part::{PART_BYTES, RecordPart, Unfinished, parts_of};

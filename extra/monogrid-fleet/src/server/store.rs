@@ -3,7 +3,7 @@
 use super::limits::{KEPT_FREE_BYTES, Limits, OverLimit, Usage};
 use super::transforms::{Frame, OwnPoses};
 use crate::messages::RunKey;
-use crate::packet::{Packet, PacketError, Unfinished, check_record};
+use crate::packet::{Packet, PacketError, Unfinished, check_record, check_size};
 use crate::packet_log::{PacketLog, append_at};
 use monogrid_datasets::{
     DatasetError, PoseSnapshot, Record, RecordingWriter, SessionInfo, write_atomically,
@@ -471,6 +471,7 @@ impl StoredRun {
         let mut unfinished = Unfinished::default();
         let mut record = match packet {
             Packet::Keyframe(keyframe) => {
+                check_size(keyframe.size)?;
                 let size = (usize::from(keyframe.size.0), usize::from(keyframe.size.1));
                 if keyframe.camera.is_none() && size != self.size {
                     let reason = "an image is not of the size of its camera";

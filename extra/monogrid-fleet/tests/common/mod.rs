@@ -20,7 +20,8 @@ pub fn endpoint() -> String {
     format!("tcp/127.0.0.1:{port}")
 }
 
-pub fn link(endpoint: &str) -> Link {
+/// A session with the server at an endpoint.
+pub fn linked(endpoint: &str) -> Link {
     Link::open(&[endpoint.to_owned()], None).unwrap()
 }
 
