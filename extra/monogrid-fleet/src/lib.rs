@@ -10,7 +10,9 @@
 
 pub mod agent;
 pub mod messages;
+pub mod network;
 pub mod packet;
 pub mod packet_log;
+pub mod panics;
 pub mod program;
 pub mod server;

@@ -46,6 +46,12 @@ impl RunKey {
         Ok(Self { name, run })
     }
 
+    /// Name of the agent.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
     /// A key of the run.
     #[must_use]
     pub fn key(&self, rest: &str) -> String {
@@ -151,7 +157,8 @@ impl From<&Similarity> for Sim3 {
 pub struct Fleet {
     /// Counts upwards with every change of the transforms.
     pub version: u64,
-    /// The run in whose world all others are placed, `NAME/RUN`: the first one that delivered something.
+    /// The run in whose world all others are placed, `NAME/RUN`: the first one that delivered something, as
+    /// long as it is joined with others.
     pub shared: Option<String>,
     /// All runs, in the order in which they came.
     pub agents: Vec<AgentState>,
@@ -170,6 +177,9 @@ pub struct AgentState {
     pub has_ended: bool,
     /// Where its world lies in the shared one; nothing as long as no place is known that both saw.
     pub shared_from_agent: Option<Similarity>,
+    /// Why the server does not join the run with others, where it does not.
+    #[serde(default)]
+    pub set_apart: Option<String>,
 }
 
 impl Fleet {
@@ -179,7 +189,10 @@ impl Fleet {
         let mut text = format!("transforms, version {}:", self.version);
         for agent in &self.agents {
             let place = match &agent.shared_from_agent {
-                None => "apart".to_owned(),
+                None => match &agent.set_apart {
+                    Some(why) => format!("set apart: {why}"),
+                    None => "apart".to_owned(),
+                },
                 Some(place) => {
                     let [x, y, z] = place.translation;
                     format!("at {x:.3} {y:.3} {z:.3}, scale {:.4}", place.scale)

@@ -2,14 +2,17 @@
 #![allow(clippy::print_stderr, reason = "this is the program")]
 
 use crate::agent::{Agent, AgentConfig, Delivered};
-use crate::server::{APART, JoiningConfig, Server, ServerConfig};
+use crate::network::connections;
+use crate::panics::Panics;
+use crate::server::{APART, JoiningConfig, Limits, Server, ServerConfig};
 use anyhow::Context as _;
 use clap::{Args, Parser};
 use std::ffi::OsString;
+use std::panic::AssertUnwindSafe;
 use std::path::PathBuf;
 use std::process::{Child, Command};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 /// Several cameras, one map: agents that run alone, and a server that joins what they see
@@ -38,9 +41,16 @@ pub struct AgentArgs {
     /// Name of the agent: letters, digits, - and _
     #[arg(long, value_name = "NAME")]
     pub name: String,
-    /// Where the server listens
-    #[arg(long, value_name = "tcp/HOST:PORT")]
-    pub connect: String,
+    /// Where the server listens; several times for several ways to it
+    #[arg(
+        long,
+        value_name = "tcp/HOST:PORT",
+        required_unless_present = "zenoh_config"
+    )]
+    pub connect: Vec<String>,
+    /// Settings of Zenoh (JSON5): TLS, name and password; other options stand over what they name
+    #[arg(long, value_name = "FILE")]
+    pub zenoh_config: Option<PathBuf>,
     /// Output folder of the run
     #[arg(long, value_name = "DIR", required_unless_present = "follow")]
     pub out: Option<PathBuf>,
@@ -64,15 +74,30 @@ pub struct AgentArgs {
 /// `monogrid-fleet server`.
 #[derive(Debug, Args)]
 pub struct ServerArgs {
-    /// Where to listen; several times for several
-    #[arg(long, value_name = "tcp/ADDRESS:PORT", default_value = "tcp/[::]:7447")]
+    /// Where to listen; several times for several [default: tcp/127.0.0.1:7447, this computer only]
+    #[arg(long, value_name = "tcp/ADDRESS:PORT")]
     pub listen: Vec<String>,
+    /// Settings of Zenoh (JSON5): TLS, access control; other options stand over what they name
+    #[arg(long, value_name = "FILE")]
+    pub zenoh_config: Option<PathBuf>,
+    /// Runs of all agents at most; of one agent a quarter
+    #[arg(long, value_name = "N", default_value_t = Limits::default().runs, value_parser = clap::value_parser!(u64).range(1..))]
+    pub max_runs: u64,
+    /// Keyframes of all agents at most; of one agent a quarter
+    #[arg(long, value_name = "N", default_value_t = Limits::default().keyframes, value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
+    pub max_keyframes: u64,
+    /// Gigabytes (1000^3) on the disk that agents may fill, without the joined map; one agent a quarter
+    #[arg(long, value_name = "GB", default_value_t = Limits::default().disk_bytes as f64 / 1e9, value_parser = rate)]
+    pub max_disk: f64,
     /// Folder for what agents deliver (agents) and the joined map (map); that of an earlier server is taken up again
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Seconds between the end of a joining and the next one at least
     #[arg(long, value_name = "SECONDS", default_value_t = 10)]
     pub join_every: u64,
+    /// Seconds that a joining may take; runs with which it takes longer are set apart
+    #[arg(long, value_name = "SECONDS", default_value_t = 1800)]
+    pub join_within: u64,
     /// So many new keyframes are worth a joining
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..))]
     pub min_new_keyframes: u64,
@@ -120,18 +145,21 @@ fn monogrid() -> anyhow::Result<Vec<OsString>> {
     Ok(vec![program.into(), "monogrid".into()])
 }
 
-/// Set by Ctrl-C.
-fn interrupted() -> anyhow::Result<Arc<AtomicBool>> {
-    let flag = Arc::new(AtomicBool::new(false));
-    let set = Arc::clone(&flag);
-    ctrlc::set_handler(move || set.store(true, Ordering::Relaxed))?;
-    Ok(flag)
+/// How often Ctrl-C was pressed.
+fn interrupted() -> anyhow::Result<Arc<AtomicUsize>> {
+    let count = Arc::new(AtomicUsize::new(0));
+    let counting = Arc::clone(&count);
+    ctrlc::set_handler(move || {
+        counting.fetch_add(1, Ordering::Relaxed);
+    })?;
+    Ok(count)
 }
 
 fn agent(args: &AgentArgs) -> anyhow::Result<u8> {
     let config = AgentConfig {
         name: args.name.clone(),
-        server: args.connect.clone(),
+        connect: args.connect.clone(),
+        zenoh_config: args.zenoh_config.clone(),
         max_bytes_per_s: args.max_rate * 1e3,
         give_up_after: Duration::from_secs(args.give_up_after),
         jpeg_quality: args.jpeg_quality,
@@ -181,8 +209,8 @@ impl Run {
     }
 
     /// Whether it has ended; an interrupt is passed on once.
-    fn is_over(&mut self, interrupted: &AtomicBool) -> bool {
-        if interrupted.load(Ordering::Relaxed) && !self.was_asked {
+    fn is_over(&mut self, interrupted: &AtomicUsize) -> bool {
+        if interrupted.load(Ordering::Relaxed) > 0 && !self.was_asked {
             self.was_asked = true;
             ask_to_stop(&mut self.child);
         }
@@ -227,11 +255,19 @@ fn summary(delivered: &Delivered) -> String {
 }
 
 fn server(args: ServerArgs) -> anyhow::Result<u8> {
+    let panics = Panics::watch();
     let config = ServerConfig {
         listen: args.listen,
+        zenoh_config: args.zenoh_config,
+        limits: Limits {
+            runs: args.max_runs,
+            keyframes: args.max_keyframes,
+            disk_bytes: (args.max_disk * 1e9) as u64,
+        },
         out: args.out,
         joining: JoiningConfig {
             every: Duration::from_secs(args.join_every),
+            within: Duration::from_secs(args.join_within),
             min_new_keyframes: args.min_new_keyframes,
             program: monogrid()?,
             arguments: args.merge,
@@ -240,12 +276,30 @@ fn server(args: ServerArgs) -> anyhow::Result<u8> {
     };
     let interrupted = interrupted()?;
     let map = config.out.join("map");
-    let mut server = Server::start(config)?;
-    let is_interrupted = || interrupted.load(Ordering::Relaxed);
-    let fleet = server.work(is_interrupted, &mut |news| eprintln!("server: {news}"))?;
+    let say = &mut |news: String| eprintln!("server: {news}");
+    let mut server = Server::start(config, say)?;
+    say(format!("listens; {} connections at most", connections()));
+    let dies = std::env::var(DIES).ok();
+    if dies.as_deref() == Some("beside") {
+        std::thread::spawn(|| panic!("a thread beside the server"));
+    }
+    let interrupts = || {
+        assert!(dies.as_deref() != Some("itself"), "the server itself");
+        interrupted.load(Ordering::Relaxed) + usize::from(panics.first().is_some())
+    };
+    // a panic of its own is no other: it is said, and what came is on the disk
+    let work = AssertUnwindSafe(|| server.work(interrupts, say));
+    let worked = std::panic::catch_unwind(work);
+    if let Some(died) = panics.first() {
+        anyhow::bail!("{died}; what agents delivered is kept, start the server again");
+    }
+    let fleet = worked.map_err(|_| anyhow::anyhow!("the server died"))?;
     let agents = fleet.agents.iter();
     let placed = agents.filter(|a| a.shared_from_agent.is_some()).count();
     let (all, map) = (fleet.agents.len(), map.display());
     eprintln!("server: {placed} of {all} runs in one map: {map}");
     Ok(if placed == all { 0 } else { APART as u8 })
 }
+
+/// For tests: which thread of a server dies.
+const DIES: &str = "MONOGRID_FLEET_DIES";

@@ -1,23 +1,23 @@
 //! Agents and a server over real connections of this computer.
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
-use monogrid_datasets::{ReadOptions, Record, Recording, Scale, SessionInfo};
+mod common;
+
+use common::{PROGRAM, endpoint, linked, server_config, session};
+use monogrid_datasets::{ReadOptions, Recording};
 use monogrid_fleet::agent::{Agent, AgentConfig, Delivered, Link, LinkError};
 use monogrid_fleet::messages::{Fleet, PREFIX, RunKey};
 use monogrid_fleet::packet::parts_of;
-use monogrid_fleet::server::{JoiningConfig, Server, ServerConfig, similarity_of};
-use monogrid_geometry::{Pinhole, Sim3};
+use monogrid_fleet::server::{JoiningConfig, Server, similarity_of};
+use monogrid_geometry::Sim3;
 use std::fs;
 use std::io::Write;
-use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
-
-const PROGRAM: &str = env!("CARGO_BIN_EXE_monogrid-fleet");
 
 /// Runs `monogrid`.
 fn monogrid(arguments: &str, folder: &Path) {
@@ -34,30 +34,6 @@ fn monogrid(arguments: &str, folder: &Path) {
     );
 }
 
-/// An endpoint at which nobody listens yet.
-fn endpoint() -> String {
-    let port = TcpListener::bind("127.0.0.1:0")
-        .unwrap()
-        .local_addr()
-        .unwrap()
-        .port();
-    format!("tcp/127.0.0.1:{port}")
-}
-
-fn server_config(endpoint: &str, out: &Path) -> ServerConfig {
-    ServerConfig {
-        listen: vec![endpoint.into()],
-        out: out.into(),
-        joining: JoiningConfig {
-            every: Duration::from_secs(1000),
-            min_new_keyframes: 1,
-            program: vec![PROGRAM.into(), "monogrid".into()],
-            arguments: vec!["--resolution".into(), "0.1".into()],
-        },
-        until_ended: Some(2),
-    }
-}
-
 /// An agent in a thread of its own; what it did, and what it said.
 fn agent(
     name: &str,
@@ -67,7 +43,8 @@ fn agent(
 ) -> JoinHandle<(Delivered, Vec<String>)> {
     let config = AgentConfig {
         name: name.into(),
-        server: server.into(),
+        connect: vec![server.into()],
+        zenoh_config: None,
         max_bytes_per_s: 1e7,
         give_up_after: Duration::from_secs(120),
         jpeg_quality: 75,
@@ -168,10 +145,11 @@ fn an_agent_without_server_goes_on_and_catches_up_and_lies_where_merge_runs_has_
     is_over.store(true, Ordering::Relaxed);
     assert!(!a.is_finished());
 
-    let config = server_config(&server, &at("fleet"));
+    let mut config = server_config(&server, &at("fleet"));
+    config.until_ended = Some(3);
     let serving = thread::spawn(move || {
-        let mut server = Server::start(config).unwrap();
-        server.work(|| false, &mut |_| {}).unwrap()
+        let mut server = Server::start(config, &mut |_| {}).unwrap();
+        server.work(|| 0, &mut |_| {})
     });
     let b = agent(
         "b",
@@ -196,8 +174,20 @@ fn an_agent_without_server_goes_on_and_catches_up_and_lies_where_merge_runs_has_
         assert!(waited == all && all > keyframes.keyframes.len());
         assert_eq!(delivered.taken, delivered.packets);
     }
+    // nobody can join a recording with itself: who delivers that of another agent keeps nobody from being joined
+    let again = Arc::new(AtomicBool::new(true));
+    let c = agent("c", &server, at("a/recording.mgk"), again);
+    c.join().unwrap();
     let fleet = serving.join().unwrap();
     assert!(fleet.agents.iter().all(|agent| agent.has_ended));
+    for agent in &fleet.agents {
+        let why = agent.set_apart.clone().unwrap_or_default();
+        assert_eq!(
+            why.contains("same recording"),
+            agent.run.starts_with("c/"),
+            "{why}"
+        );
+    }
 
     let merged = read(&at("merged/recording.mgk"));
     let place = |name: &str| place_of(&merged, &read(&at(name).join("recording.mgk")));
@@ -209,19 +199,6 @@ fn an_agent_without_server_goes_on_and_catches_up_and_lies_where_merge_runs_has_
     assert_eq!(joined.keyframes.len(), merged.keyframes.len());
 }
 
-fn session() -> Record {
-    Record::Session(SessionInfo {
-        pinhole: Pinhole::new(60.0, 60.0, 39.5, 29.5),
-        width: 80,
-        height: 60,
-        scale: Scale::Arbitrary,
-        seed: 1,
-        profile: String::new(),
-        source: "camera".into(),
-        config: String::new(),
-    })
-}
-
 #[test]
 fn a_server_refuses_what_is_no_packet_says_what_it_misses_and_goes_on_after_a_restart() {
     let folder = tempfile::tempdir().unwrap();
@@ -229,11 +206,12 @@ fn a_server_refuses_what_is_no_packet_says_what_it_misses_and_goes_on_after_a_re
     let is_over = Arc::new(AtomicBool::new(false));
     let serve = || {
         let config = server_config(&endpoint, folder.path());
-        let (is_over, mut server) = (Arc::clone(&is_over), Server::start(config).unwrap());
+        let (is_over, mut server) = (
+            Arc::clone(&is_over),
+            Server::start(config, &mut |_| {}).unwrap(),
+        );
         thread::spawn(move || {
-            server
-                .work(|| is_over.load(Ordering::Relaxed), &mut |_| {})
-                .unwrap()
+            server.work(|| usize::from(is_over.load(Ordering::Relaxed)), &mut |_| {})
         })
     };
     let packet = parts_of(&session()).unwrap()[0].encode().unwrap();
@@ -245,7 +223,7 @@ fn a_server_refuses_what_is_no_packet_says_what_it_misses_and_goes_on_after_a_re
     };
 
     let serving = serve();
-    let link = Link::open(&endpoint).unwrap();
+    let link = linked(&endpoint);
     let mut damaged = packet.clone();
     damaged[20] ^= 1;
     assert!(refused(&link, damaged).contains("checksum"));
@@ -275,7 +253,7 @@ fn a_server_refuses_what_is_no_packet_says_what_it_misses_and_goes_on_after_a_re
     fs::write(folder.path().join("agents/runs.txt"), list.repeat(2)).unwrap();
     is_over.store(false, Ordering::Relaxed);
     let serving = serve();
-    let link = Link::open(&endpoint).unwrap();
+    let link = linked(&endpoint);
     assert_eq!(link.deliver(&run.key("missing"), None).unwrap().from, 1);
     assert_eq!(link.ask(&key(0), None).unwrap(), packet);
     let fleet = link.fleet().unwrap();

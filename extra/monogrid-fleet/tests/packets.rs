@@ -3,13 +3,13 @@
 
 use monogrid_datasets::{
     Continuation, DepthPixel, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, Record,
-    RecordedSession, Scale, SessionInfo,
+    RecordedSession, Scale, SessionInfo, encode_jpeg, encode_jpeg_rgb,
 };
 use monogrid_fleet::agent::Packer;
 use monogrid_fleet::messages::{Asked, PREFIX, RunKey};
 use monogrid_fleet::packet::{
-    IDEPTH_STEP, PART_BYTES, PackedKeyframe, Packet, PacketError, SIGMA_STEPS_PER_OCTAVE,
-    Unfinished, parts_of,
+    IDEPTH_STEP, MAX_PACKET_BYTES, PART_BYTES, PackedDepth, PackedKeyframe, Packet, PacketError,
+    RecordPart, SIGMA_STEPS_PER_OCTAVE, Unfinished, parts_of,
 };
 use monogrid_fleet::packet_log::PacketLog;
 use monogrid_geometry::{Pinhole, Rotation, Sim3, Vec3};
@@ -172,7 +172,7 @@ fn large_records_come_in_parts_in_their_order() {
         first_keyframe: noise(k + 1),
     };
     let record = Record::Continuation(Continuation {
-        sessions: (0..30_000).map(session).collect(),
+        sessions: (0..80_000).map(session).collect(),
         ..Continuation::default()
     });
     let parts = parts_of(&record).unwrap();
@@ -186,29 +186,163 @@ fn large_records_come_in_parts_in_their_order() {
     assert!(parts.len() > 2 && parts.iter().all(|part| part.bytes.len() <= PART_BYTES));
     let mut unfinished = Unfinished::default();
     assert!(matches!(
-        unfinished.take(&parts[1]),
+        unfinished.after(&parts[1], 10),
         Err(PacketError::Content(_))
     ));
-    for part in &parts[..parts.len() - 1] {
-        assert_eq!(unfinished.take(part).unwrap(), None);
+    let mut deflated = Vec::new();
+    for (part, number) in parts.iter().zip(1..) {
+        assert!(!unfinished.is_whole());
+        unfinished = unfinished.after(part, 10).unwrap();
+        assert_eq!(unfinished.parts(), number);
+        deflated.extend(&part.bytes);
     }
-    let mut damaged = parts[parts.len() - 1].clone();
-    damaged.bytes[9] ^= 1;
-    assert!(unfinished.take(&damaged).is_err());
-    assert_eq!(
-        unfinished.take(&parts[parts.len() - 1]).unwrap(),
-        Some(record)
-    );
+    assert!(unfinished.is_whole());
+    assert_eq!(unfinished.record(&deflated).unwrap(), record);
+    let last = deflated.len() - 9;
+    deflated[last] ^= 1;
+    assert!(unfinished.record(&deflated).is_err());
+    // the first part begins anew, whatever there was
+    let again = unfinished.after(&parts[0], 10).unwrap();
+    assert_eq!(again.parts(), 1);
+}
+
+#[test]
+fn a_record_is_bounded_from_its_first_part() {
+    let of = |record: &Record| match parts_of(record).unwrap().remove(0) {
+        Packet::Record(part) => part,
+        other => panic!("{other:?}"),
+    };
+    let continuation = |text: String| {
+        Record::Continuation(Continuation {
+            sessions: vec![RecordedSession {
+                source: text,
+                first_keyframe: 0,
+            }],
+            ..Continuation::default()
+        })
+    };
+    let none = Unfinished::default();
+    // more than the keyframes that have come can need
+    let large = of(&continuation("x".repeat(2 << 20)));
+    let refused = none.after(&large, 1).unwrap_err();
+    assert!(matches!(refused, PacketError::Beyond { .. }), "{refused}");
+    // a bomb: two million bytes in two thousand
+    let bomb = none.after(&large, 10);
+    let bomb = bomb.and_then(|whole| whole.record(&large.bytes));
+    assert!(matches!(bomb, Err(PacketError::Content(_))), "{bomb:?}");
+    let small = of(&continuation("x".into()));
+    let with = |count: u32, index: u32| {
+        let bytes = small.bytes.clone();
+        RecordPart {
+            index,
+            count,
+            bytes,
+        }
+    };
+    assert!(none.after(&with(1, 0), 0).unwrap().is_whole());
+    // parts without end, none, and more bytes than a part has
+    assert!(none.after(&with(u32::MAX, 0), 0).is_err());
+    assert!(none.after(&with(0, 0), 0).is_err());
+    let mut fat = with(1, 0);
+    fat.bytes.resize(PART_BYTES + 1, 0);
+    assert!(none.after(&fat, 0).is_err());
+    // a first part without the beginning of a record
+    let mut other = with(2, 0);
+    other.bytes = vec![0xff; 100];
+    assert!(none.after(&other, 0).is_err());
+}
+
+#[test]
+fn an_image_is_of_a_size_that_recordings_have_and_nothing_else_is_decoded() {
+    let with_size = |size: (u16, u16), image: (usize, usize)| {
+        let jpeg = encode_jpeg(&Image::from_fn(image.0, image.1, |_, _| 7), 50);
+        let mut packed = PackedKeyframe::pack(&keyframe(0), 80).unwrap();
+        packed.jpeg = jpeg;
+        // padded, so that its bytes could tell
+        packed.jpeg.resize(4 << 20, 0);
+        packed.size = size;
+        packed.depth = PackedDepth::pack(&[], size);
+        packed
+    };
+    let long = with_size((8192, 64), (8192, 64)).unpack().unwrap();
+    assert_eq!(long.image.unwrap().width(), 8192);
+    for size in [(8193, 64), (64, 8193), (16000, 16000), (4096, 4096), (0, 5)] {
+        let refused = with_size(size, (64, 64)).unpack().unwrap_err();
+        let PacketError::Beyond { found, .. } = &refused else {
+            panic!("{refused}");
+        };
+        assert_eq!(*found, format!("{}x{} px", size.0, size.1));
+        assert!(PackedDepth::pack(&[], (80, 60)).unpack(size).is_err());
+    }
+    // another image than its size says
+    assert!(with_size((64, 64), (64, 65)).unpack().is_err());
+    // not the end of the scan but a second one
+    let mut two = with_size((64, 64), (64, 64));
+    assert!(two.unpack().is_ok());
+    let scan = two.jpeg.windows(2).position(|m| m == [0xff, 0xda]).unwrap();
+    let (begin, end) = (two.jpeg[..scan].to_vec(), two.jpeg[scan..].to_vec());
+    let scan_bytes = end.windows(2).position(|m| m == [0xff, 0xd9]).unwrap();
+    two.jpeg = [&begin, &end[..scan_bytes], &end].concat();
+    assert!(two.unpack().is_err());
+    // progressive
+    let mut progressive = with_size((64, 64), (64, 64));
+    let frame = progressive.jpeg.windows(2).position(|m| m == [0xff, 0xc0]);
+    progressive.jpeg[frame.unwrap() + 1] = 0xc2;
+    assert!(progressive.unpack().is_err());
+    // colour
+    let colour = Image::from_fn(64, 64, |x, _| [x as u8; 3]);
+    let mut coloured = with_size((64, 64), (64, 64));
+    coloured.jpeg = encode_jpeg_rgb(&colour, 80);
+    assert!(coloured.unpack().is_err());
+}
+
+#[test]
+fn a_camera_and_a_time_of_a_keyframe_are_sane() {
+    let good = PackedKeyframe::pack(&keyframe(0), 80).unwrap();
+    for focal in [f64::NAN, 0.0, -60.0, 1e300] {
+        let mut bad = good.clone();
+        bad.camera = Some([focal, 60.0, 40.0, 30.0]);
+        assert!(
+            matches!(bad.unpack(), Err(PacketError::Beyond { .. })),
+            "{focal}"
+        );
+    }
+    for timestamp_ns in [i64::MIN, i64::MAX] {
+        let bad = PackedKeyframe {
+            timestamp_ns,
+            ..good.clone()
+        };
+        assert!(matches!(bad.unpack(), Err(PacketError::Beyond { .. })));
+    }
+    let mut own = good;
+    own.camera = Some([60.0, 60.0, 40.0, 30.0]);
+    assert!(own.unpack().is_ok());
+}
+
+#[test]
+fn a_packet_is_of_a_size_that_servers_take() {
+    let mut packed = PackedKeyframe::pack(&keyframe(0), 80).unwrap();
+    packed.jpeg.resize(MAX_PACKET_BYTES, 0);
+    let encoded = Packet::Keyframe(packed).encode();
+    assert_eq!(encoded, Err(PacketError::TooLarge));
+    let large = vec![0; MAX_PACKET_BYTES + 1];
+    assert!(matches!(
+        Packet::decode(&large),
+        Err(PacketError::Beyond { .. })
+    ));
 }
 
 /// What is in a log, in words.
-fn words(log: &mut PacketLog) -> Vec<String> {
-    let mut unfinished = Unfinished::default();
+fn words(log: &PacketLog) -> Vec<String> {
     let count = log.len();
     let word = |number| match Packet::decode(&log.read(number).unwrap().unwrap()).unwrap() {
         Packet::Keyframe(keyframe) => format!("keyframe {}", keyframe.id),
         Packet::Depth(depth) => format!("depth {} {}", depth.keyframe_id, depth.revision),
-        Packet::Record(part) => match unfinished.take(&part).unwrap().unwrap() {
+        Packet::Record(part) => match Unfinished::default()
+            .after(&part, 2)
+            .and_then(|whole| whole.record(&part.bytes))
+            .unwrap()
+        {
             Record::Session(_) => "session".into(),
             Record::Poses(poses) => format!("{} poses {}", poses.poses.len(), poses.revision),
             Record::Continuation(_) => "continuation".into(),
@@ -262,7 +396,7 @@ fn only_what_has_changed_enough_is_packed_until_the_end_which_is_exact() {
         "continuation",
         "end",
     ];
-    assert_eq!(words(&mut log), expected);
+    assert_eq!(words(&log), expected);
     let newest = packer.newest_pose().unwrap();
     assert_eq!((newest.keyframe, newest.timestamp_ns), (1, -3));
     assert_eq!(newest.world_from_keyframe.translation.x, 0.4001);

@@ -171,6 +171,9 @@ pub enum Record {
 }
 
 impl Record {
+    /// Bytes of the header of a record.
+    pub const HEADER_BYTES: usize = format::RECORD_HEADER_BYTES;
+
     /// The bytes of the record as they stand in a file, its header included; `None` beyond 4 GiB.
     #[must_use]
     pub fn encode(&self) -> Option<Vec<u8>> {
@@ -184,6 +187,14 @@ impl Record {
         Some((kind, payload.0))
     }
 
+    /// Bytes of a whole record, its header included, by what that header says; `None` when this is none, or damaged. Whoever gets a record in
+    /// pieces knows by the first one how much it will be.
+    #[must_use]
+    pub fn declared_bytes(header: &[u8; Self::HEADER_BYTES]) -> Option<u64> {
+        let header = format::parse_record_header(header)?;
+        Some(Self::HEADER_BYTES as u64 + u64::from(header.payload_bytes))
+    }
+
     /// The record that these bytes are, from header to end; `None` when they are damaged, or of a kind of a later version.
     #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<Self> {
@@ -195,5 +206,19 @@ impl Record {
             return None;
         }
         format::decode_record(header.kind, payload, true).ok()?
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_header_says_how_long_its_record_is_and_a_damaged_one_nothing() {
+        let bytes = Record::End(EndRecord::default()).encode().unwrap();
+        let mut header = *bytes.first_chunk().unwrap();
+        assert_eq!(Record::declared_bytes(&header), Some(bytes.len() as u64));
+        header[8] ^= 1;
+        assert_eq!(Record::declared_bytes(&header), None);
     }
 }

@@ -1,7 +1,9 @@
 //! The way to the server, while there is one.
 
 use crate::messages::{Fleet, Missing, PREFIX};
+use crate::network;
 use serde::de::DeserializeOwned;
+use std::path::Path;
 use std::time::Duration;
 use zenoh::handlers::{RingChannel, RingChannelHandler};
 use zenoh::pubsub::Subscriber;
@@ -35,15 +37,13 @@ pub struct Link {
 }
 
 impl Link {
-    /// Connects to the server at an endpoint (`tcp/HOST:PORT`).
+    /// Connects to the server at these endpoints (`tcp/HOST:PORT`), or those of a file of Zenoh's settings.
     ///
     /// # Errors
     /// [`LinkError::Lost`].
-    pub fn open(server: &str) -> Result<Self, LinkError> {
-        let mut config = alone()?;
-        config.insert_json5("mode", "\"client\"")?;
-        let endpoints = serde_json::json!([server]).to_string();
-        config.insert_json5("connect/endpoints", &endpoints)?;
+    pub fn open(connect: &[String], zenoh_config: Option<&Path>) -> Result<Self, LinkError> {
+        let config = network::of_agent(connect, zenoh_config);
+        let config = config.map_err(|error| LinkError::Lost(error.to_string()))?;
         let session = zenoh::open(config).wait()?;
         let fleet = session.declare_subscriber(format!("{PREFIX}/fleet"));
         // only the newest counts
@@ -89,11 +89,11 @@ impl Link {
             Ok(sample) => return Ok(sample.payload().to_bytes().into_owned()),
             Err(error) => error.payload().to_bytes(),
         };
-        let text = String::from_utf8_lossy(&error);
+        let text = plain(&String::from_utf8_lossy(&error));
         // what the way itself says has no words of ours
         Err(match text.strip_prefix(REFUSED) {
             Some(why) => LinkError::Refused(why.to_owned()),
-            None => LinkError::Lost(text.into_owned()),
+            None => LinkError::Lost(text),
         })
     }
 }
@@ -106,14 +106,11 @@ fn parsed<T: DeserializeOwned>(answer: &[u8]) -> Result<T, LinkError> {
         .map_err(|error| LinkError::Refused(format!("its answer is not understood: {error}")))
 }
 
-/// Settings of a session that finds nobody by itself.
-///
-/// # Errors
-/// None that is known: the settings exist.
-pub fn alone() -> Result<zenoh::Config, zenoh::Error> {
-    let mut config = zenoh::Config::default();
-    config.insert_json5("scouting/multicast/enabled", "false")?;
-    config.insert_json5("scouting/gossip/enabled", "false")?;
-    config.insert_json5("listen/endpoints", "[]")?;
-    Ok(config)
+/// Longest text of a server that is shown.
+const MAX_TEXT: usize = 1000;
+
+/// A text of a server as one that a terminal can show.
+fn plain(text: &str) -> String {
+    let shown = |c: char| if c.is_control() { '\u{fffd}' } else { c };
+    text.chars().take(MAX_TEXT).map(shown).collect()
 }

@@ -4,14 +4,15 @@ mod link;
 mod packer;
 mod tail;
 
-pub use link::{Link, LinkError, REFUSED, alone};
+pub use link::{Link, LinkError, REFUSED};
 pub use packer::{NewestPose, Packer};
 
 use crate::messages::{AgentPose, BadName, Fleet, RunKey, run_number};
+use crate::network::{self, NetworkError};
 use crate::packet::PacketError;
 use crate::packet_log::PacketLog;
 use monogrid_datasets::{DatasetError, Record};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use tail::Tail;
 
@@ -25,8 +26,10 @@ const RETRY_AFTER: Duration = Duration::from_secs(1);
 pub struct AgentConfig {
     /// Its name.
     pub name: String,
-    /// Endpoint of the server, `tcp/HOST:PORT`.
-    pub server: String,
+    /// Endpoints of the server, `tcp/HOST:PORT`; without any those of the file of settings.
+    pub connect: Vec<String>,
+    /// Settings of Zenoh, a JSON5 file.
+    pub zenoh_config: Option<PathBuf>,
     /// Bytes of packets per second at most, over any time; positive.
     pub max_bytes_per_s: f64,
     /// After the end of the run the server is tried for so long.
@@ -50,6 +53,9 @@ pub enum AgentError {
     /// The name cannot be one.
     #[error(transparent)]
     Name(#[from] BadName),
+    /// Its network cannot be set up.
+    #[error(transparent)]
+    Settings(#[from] NetworkError),
 }
 
 /// What was delivered.
@@ -77,6 +83,8 @@ pub struct Agent {
     run: Option<RunKey>,
     first_ns: Option<i64>,
     link: LinkState,
+    /// Why the server could not be reached when that was last said.
+    unreached: Option<String>,
     /// Number of the packet that is next, as the server said.
     next: u64,
     fleet: Fleet,
@@ -97,9 +105,10 @@ impl Agent {
     /// An agent that delivers this recording, which need not exist yet.
     ///
     /// # Errors
-    /// When its name cannot be one, or no temporary file can be made.
+    /// When its name cannot be one, no server is named, or no temporary file can be made.
     pub fn new(config: AgentConfig, recording: &Path) -> Result<Self, AgentError> {
         RunKey::new(&config.name, 0)?;
+        network::of_agent(&config.connect, config.zenoh_config.as_deref())?;
         Ok(Self {
             tail: Tail {
                 path: recording.to_owned(),
@@ -116,6 +125,7 @@ impl Agent {
             run: None,
             first_ns: None,
             link: LinkState::Down(Instant::now()),
+            unreached: None,
             next: 0,
             fleet: Fleet::default(),
             told: None,
@@ -193,6 +203,9 @@ impl Agent {
             Err(LinkError::Lost(why)) => {
                 if matches!(self.link, LinkState::Up(_)) {
                     say(format!("the link is lost, the run goes on: {why}"));
+                } else if self.unreached.as_ref() != Some(&why) {
+                    say(format!("no server yet, the run goes on: {why}"));
+                    self.unreached = Some(why);
                 }
                 self.link = LinkState::Down(Instant::now() + RETRY_AFTER);
                 false
@@ -206,7 +219,8 @@ impl Agent {
     }
 
     fn connect(&mut self, run: &RunKey, say: &mut dyn FnMut(String)) -> Result<(), LinkError> {
-        let link = Link::open(&self.config.server)?;
+        let config = &self.config;
+        let link = Link::open(&config.connect, config.zenoh_config.as_deref())?;
         self.next = link.deliver(&run.key("missing"), None)?.from;
         self.fleet = link.fleet()?;
         self.link = LinkState::Up(link);

@@ -1,6 +1,7 @@
 //! Semi-dense depth in few bytes: which pixels have any, then logarithms of inverse depth and of its relative sigma in steps, each as
 //! its difference from what its neighbours let expect, deflated.
 
+use super::bounds::check_size;
 use super::{PacketError, is_plausible};
 use flate2::Compression;
 use flate2::read::DeflateDecoder;
@@ -64,6 +65,7 @@ impl PackedDepth {
     /// # Errors
     /// [`PacketError::Content`].
     pub fn unpack(&self, size: (u16, u16)) -> Result<Vec<DepthPixel>, PacketError> {
+        check_size(size)?;
         self.unpacked(size)
             .ok_or(PacketError::Content("depth does not fit its image"))
     }

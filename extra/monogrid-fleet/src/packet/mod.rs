@@ -1,9 +1,12 @@
 //! What an agent delivers: self-contained, checksummed, versioned packets. `README.md` describes the bytes.
 
+mod bounds;
 mod depth;
 mod keyframe;
 mod part;
 
+pub use bounds::{MAX_PACKET_BYTES, MAX_PIXELS, MAX_RECORD_BYTES, MAX_SIDE};
+pub(crate) use bounds::{check_record, check_size};
 pub use depth::{IDEPTH_STEP, PackedDepth, SIGMA_STEPS_PER_OCTAVE};
 pub use keyframe::PackedKeyframe;
 pub use part::{PART_BYTES, RecordPart, Unfinished, parts_of};
@@ -80,8 +83,18 @@ pub enum PacketError {
     #[error("keyframe {0} has no image, without which no place is recognised")]
     NoImage(u32),
     /// A record that cannot be delivered.
-    #[error("a record of more than 4 GiB cannot be delivered")]
+    #[error("a packet or record is larger than a server takes; it cannot be delivered")]
     TooLarge,
+    /// Something is more than a packet may hold, or is no sane number.
+    #[error("found {what} of {found}, expected {expected}")]
+    Beyond {
+        /// What it is.
+        what: &'static str,
+        /// What was found.
+        found: String,
+        /// What can be.
+        expected: String,
+    },
 }
 
 impl Packet {
@@ -91,7 +104,10 @@ impl Packet {
     /// [`PacketError::TooLarge`].
     pub fn encode(&self) -> Result<Vec<u8>, PacketError> {
         let payload = postcard::to_stdvec(self).map_err(|_| PacketError::TooLarge)?;
-        let length = u32::try_from(payload.len()).map_err(|_| PacketError::TooLarge)?;
+        if HEADER_BYTES + payload.len() > MAX_PACKET_BYTES {
+            return Err(PacketError::TooLarge);
+        }
+        let length = payload.len() as u32;
         let mut bytes = Vec::with_capacity(HEADER_BYTES + payload.len());
         bytes.extend(MAGIC);
         bytes.extend(VERSION.to_le_bytes());
@@ -106,6 +122,7 @@ impl Packet {
     /// # Errors
     /// All but [`PacketError::NoImage`] and [`PacketError::TooLarge`]. What a keyframe holds is looked at by [`PackedKeyframe::unpack`].
     pub fn decode(bytes: &[u8]) -> Result<Self, PacketError> {
+        bounds::at_most("a packet", bytes.len() as u64, MAX_PACKET_BYTES as u64)?;
         let payload = payload(bytes)?;
         let (packet, rest) = postcard::take_from_bytes(payload)
             .map_err(|_| PacketError::Content("the fields of a packet do not fit its bytes"))?;

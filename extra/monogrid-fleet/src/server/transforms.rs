@@ -15,6 +15,22 @@ pub type OwnPoses = BTreeMap<Frame, Sim3>;
 /// Where the worlds of runs lie in a map that holds together, or in the world of one of them.
 pub type Place = BTreeMap<RunKey, Sim3>;
 
+/// The run in whose world all others are placed: `current` as long as it is joined with another one, so that worlds do not change; else the first of
+/// those that are in the largest map, so that a run that is joined with nobody keeps nobody from having a place. `order` has the runs in the order in
+/// which they came, `joined` the largest map first.
+#[must_use]
+pub fn shared_run(current: Option<&RunKey>, order: &[&RunKey], joined: &[Place]) -> Option<RunKey> {
+    let with_others = |run: &RunKey| joined.iter().any(|m| m.len() >= 2 && m.contains_key(run));
+    let current_stays = current.filter(|run| with_others(run));
+    let largest = joined.iter().find(|map| map.len() >= 2);
+    let in_largest = || {
+        let map = largest?;
+        order.iter().copied().find(|run| map.contains_key(*run))
+    };
+    let run = current_stays.or_else(in_largest);
+    run.or(current).or(order.first().copied()).cloned()
+}
+
 /// Where the worlds of all lie in the world of one of them: those that hold together with it in one of the joined maps.
 #[must_use]
 pub fn shared_from_agents(joined: &[Place], shared: &RunKey) -> Place {
@@ -132,5 +148,31 @@ mod tests {
         // two units of the map are one of a, as of b
         assert_eq!(shared[&run("b")].translation, Vec3::new(1.0, 0.0, 0.0));
         assert_eq!(shared_from_agents(&joined, &run("d")).len(), 1);
+    }
+
+    #[test]
+    fn the_shared_world_stays_and_is_not_that_of_a_run_that_is_alone() {
+        let run = |name: &str| RunKey::new(name, 1).unwrap();
+        let map = |names: &[&str]| -> Place {
+            let runs = names.iter().map(|name| (run(name), Sim3::identity()));
+            runs.collect()
+        };
+        let runs = ["x", "a", "b", "c"].map(run);
+        let order: Vec<&RunKey> = runs.iter().collect();
+        let shared = |current: Option<&str>, joined: &[Place]| {
+            shared_run(current.map(run).as_ref(), &order, joined).unwrap()
+        };
+        assert_eq!(shared(None, &[]), run("x"));
+        // who came first and is joined with nobody
+        let without_x = [map(&["a", "b"]), map(&["x"])];
+        assert_eq!(shared(None, &without_x), run("a"));
+        assert_eq!(shared(Some("x"), &without_x), run("a"));
+        // who is joined with it later does not move the others
+        assert_eq!(shared(Some("a"), &[map(&["a", "b", "x"])]), run("a"));
+        assert_eq!(
+            shared(Some("a"), &[map(&["b", "c"]), map(&["a"])]),
+            run("b")
+        );
+        assert_eq!(shared(Some("a"), &[map(&["a"]), map(&["b"])]), run("a"));
     }
 }
