@@ -1,8 +1,8 @@
 //! Semi-dense depth in few bytes: which pixels have any, then logarithms of inverse depth and of its relative sigma in steps, each as
 //! its difference from what its neighbours let expect, deflated.
 
+use super::PacketError;
 use super::bounds::check_size;
-use super::{PacketError, is_plausible};
 use flate2::Compression;
 use flate2::read::DeflateDecoder;
 use flate2::write::DeflateEncoder;
@@ -71,11 +71,6 @@ impl PackedDepth {
     }
 
     fn unpacked(&self, size: (u16, u16)) -> Option<Vec<DepthPixel>> {
-        let bytes = self.mask.len() + self.idepth.len() + self.sigma.len();
-        // a keyframe without depth has a mask all the same
-        if !is_plausible(size, bytes * 64) {
-            return None;
-        }
         let (width, height) = (usize::from(size.0), usize::from(size.1));
         let mask = inflated(&self.mask, (width * height).div_ceil(8))?;
         let is_set = |at: usize| {
