@@ -1,3 +1,5 @@
+#![allow(clippy::too_many_lines, reason = "a test tells its story in one place")]
+
 use super::*;
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
