@@ -39,7 +39,7 @@ impl Serving {
         let mut server = Server::start(config, &mut |news| said.push(news)).unwrap();
         let thread = thread::spawn(move || {
             let fleet = server.work(|| usize::from(over.load(Ordering::Relaxed)), &mut |news| {
-                said.push(news)
+                said.push(news);
             });
             (fleet, said)
         });
@@ -161,6 +161,7 @@ fn bytes_below(folder: &Path) -> u64 {
 }
 
 /// Packets that an agent with three keyframes of 80x60 px can send to do harm, and what the refusal says.
+#[allow(clippy::too_many_lines, reason = "a list")]
 fn attacks() -> Vec<(Vec<u8>, &'static str)> {
     let bytes = |packet: Packet| packet.encode().unwrap();
     let record = |record: Record| bytes(parts_of(&record).unwrap().remove(0));
@@ -562,7 +563,7 @@ fn a_file_of_zenohs_settings_lets_in_only_who_knows_the_password() {
     let mut config = server_config(&endpoint, folder.path());
     config.zenoh_config = Some(at("server.json5", &server));
     let serving = Serving::start(config);
-    let open = |file: Option<&Path>| Link::open(&[endpoint.clone()], file);
+    let open = |file: Option<&Path>| Link::open(std::slice::from_ref(&endpoint), file);
     let stranger = at("stranger.json5", &known.replace("secret", "guess"));
     assert!(open(None).is_err());
     assert!(open(Some(&stranger)).is_err());
