@@ -2,6 +2,7 @@
 
 use super::align::{Align, MapFrame, Scene};
 use super::conclusion::verdict;
+use super::live::Viewer;
 use super::outputs::{self, Ground, Playback, Surface};
 use super::progress::watched;
 use super::report::{Reference, ReportInput, write_page};
@@ -67,10 +68,28 @@ pub fn run_all(
     extras: impl FnOnce(&Tracked, Option<&Maps>) -> Result<Extras, Failure>,
 ) -> Result<Finished, Failure> {
     save_when_interrupted();
+    let mut viewer = viewer(input, settings)?;
+    let finished = run_watched(input, folder, settings, align, viewer.as_mut(), extras)?;
+    // after everything is written, so that nothing waits for those who look
+    let died = viewer.and_then(|viewer| viewer.end().err());
+    Ok(Finished {
+        failure: finished.failure.or(died.map(str::to_owned)),
+        ..finished
+    })
+}
+
+/// The run, which tells a viewer of itself.
+fn run_watched(
+    input: &Input,
+    folder: &Arc<OutputFolder>,
+    settings: &RunSettings,
+    align: &Align,
+    viewer: Option<&mut Viewer>,
+    extras: impl FnOnce(&Tracked, Option<&Maps>) -> Result<Extras, Failure>,
+) -> Result<Finished, Failure> {
     let config = settings.config.to_toml()?;
     folder.write("config.toml", &config)?;
-    let mut viewer = viewer(input, settings)?;
-    let mut tracked = track(input, folder, settings, viewer.as_mut(), &INTERRUPTED)?;
+    let mut tracked = track(input, folder, settings, viewer, &INTERRUPTED)?;
     let scans = final_depth(&mut tracked, settings.memory_limit, settings.show_progress);
     let mut looked = Looked::at(&tracked, &scans, align, input, settings);
     let (known, not_compared) = known_path(input, align, &tracked, &mut looked.frame);
@@ -121,12 +140,11 @@ pub fn run_all(
     play(&report, settings, &tracked, &poses)?;
     folder.write_with("report.html", |out| write_page(out, &tracked, &report))?;
     write_summary(folder, &mut summary)?;
-    let of_viewer = viewer.and_then(|viewer| viewer.end().err());
     Ok(Finished {
         outcome: summary.status.outcome(),
         summary,
         verdict,
-        failure: failure.or(of_viewer.map(str::to_owned)),
+        failure,
     })
 }
 
