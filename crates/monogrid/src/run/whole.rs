@@ -2,6 +2,7 @@
 
 use super::align::{Align, MapFrame, Scene};
 use super::conclusion::verdict;
+use super::live::Viewer;
 use super::outputs::{self, Ground, Playback, Surface};
 use super::progress::watched;
 use super::report::{Reference, ReportInput, write_page};
@@ -66,10 +67,28 @@ pub fn run_all(
     extras: impl FnOnce(&Tracked, Option<&Maps>) -> Result<Extras, Failure>,
 ) -> Result<Finished, Failure> {
     interrupt::listen();
+    let mut viewer = viewer(input, settings)?;
+    let finished = run_watched(input, folder, settings, align, viewer.as_mut(), extras)?;
+    // after everything is written, so that nothing waits for those who look
+    let died = viewer.and_then(|viewer| viewer.end().err());
+    Ok(Finished {
+        failure: finished.failure.or(died.map(str::to_owned)),
+        ..finished
+    })
+}
+
+/// The run, which tells a viewer of itself.
+fn run_watched(
+    input: &Input,
+    folder: &Arc<OutputFolder>,
+    settings: &RunSettings,
+    align: &Align,
+    viewer: Option<&mut Viewer>,
+    extras: impl FnOnce(&Tracked, Option<&Maps>) -> Result<Extras, Failure>,
+) -> Result<Finished, Failure> {
     let config = settings.config.to_toml()?;
     folder.write("config.toml", &config)?;
-    let mut viewer = viewer(input, settings)?;
-    let mut tracked = track(input, folder, settings, viewer.as_mut(), &INTERRUPTED)?;
+    let mut tracked = track(input, folder, settings, viewer, &INTERRUPTED)?;
     let scans = final_depth(&mut tracked, settings);
     let mut looked = Looked::at(&tracked, &scans, align, input, settings);
     let (known, not_compared) = known_path(input, align, &tracked, &mut looked.frame);
@@ -100,7 +119,8 @@ pub fn run_all(
     };
     let pictures = maps.as_ref().map(write).transpose()?;
     let mut extras = extras(&tracked, maps.as_ref())?;
-    (extras.warnings).extend(tracked.doubts.iter().cloned().chain(not_compared));
+    let doubts = tracked.doubts.iter().cloned();
+    extras.warnings.extend(doubts.chain(not_compared));
     let mut summary = summary(input, settings, &tracked, &looked, maps.as_ref(), extras);
     let verdict = verdict(&summary, &tracked);
     let report = ReportInput {
@@ -123,7 +143,7 @@ pub fn run_all(
         outcome: summary.status.outcome(),
         summary,
         verdict,
-        failure: failure.or(viewer.and_then(|viewer| viewer.end().err().map(str::to_owned))),
+        failure,
     })
 }
 
