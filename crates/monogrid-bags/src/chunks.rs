@@ -7,8 +7,17 @@ use std::collections::VecDeque;
 use std::io::Read;
 use std::path::Path;
 
-/// Most bytes of a record, and of what is in a chunk.
+/// Most bytes of a record: an image of 8K in colour is a tenth of it.
 const MAX_BYTES: u64 = 1 << 30;
+
+/// Bytes that any chunk may hold, and how many more for each of its own: recorders write chunks of one to four megabytes,
+/// and images hardly shrink.
+const CHUNK_BYTES: u64 = 32 << 20;
+const CHUNK_GROWTH: u64 = 8;
+
+/// Bytes that may come out of the chunks of a file, and how many more for each byte that went in.
+const FILE_BYTES: u64 = 256 << 20;
+const FILE_GROWTH: u64 = 64;
 
 /// The next bytes of a record, as many as it claims.
 pub fn block(input: &mut impl Read, length: u64) -> Result<Vec<u8>, String> {
@@ -27,13 +36,43 @@ pub fn block(input: &mut impl Read, length: u64) -> Result<Vec<u8>, String> {
     Ok(bytes)
 }
 
-/// What is in a chunk that claims so many bytes.
-pub fn unpacked(compression: &str, data: &[u8], size: u64) -> Result<Vec<u8>, String> {
-    if size > MAX_BYTES {
-        return Err(format!(
-            "a chunk claims {size} bytes, expected at most {MAX_BYTES}"
-        ));
+/// Decompresses the chunks of one file, and sees to it that neither one of them nor all together grow without bound.
+#[derive(Debug, Default)]
+pub struct Unpacker {
+    /// Bytes of all chunks so far, and what was in them.
+    packed_bytes: u64,
+    unpacked_bytes: u64,
+}
+
+impl Unpacker {
+    /// What is in a chunk that claims so many bytes.
+    pub fn unpacked(
+        &mut self,
+        compression: &str,
+        data: &[u8],
+        size: u64,
+    ) -> Result<Vec<u8>, String> {
+        let packed = data.len() as u64;
+        let most = (CHUNK_BYTES + CHUNK_GROWTH * packed).min(MAX_BYTES);
+        if size > most {
+            return Err(format!(
+                "a chunk of {packed} bytes claims to hold {size}, expected at most {most}"
+            ));
+        }
+        self.packed_bytes += packed;
+        self.unpacked_bytes += size;
+        let most = FILE_BYTES + FILE_GROWTH * self.packed_bytes;
+        if self.unpacked_bytes > most {
+            return Err(format!(
+                "chunks of {} bytes claim to hold {}, expected at most {most}",
+                self.packed_bytes, self.unpacked_bytes
+            ));
+        }
+        unpacked(compression, data, size)
     }
+}
+
+fn unpacked(compression: &str, data: &[u8], size: u64) -> Result<Vec<u8>, String> {
     let decoder: Box<dyn Read + '_> = match compression {
         "" | "none" => Box::new(data),
         "bz2" => Box::new(bzip2::read::BzDecoder::new(data)),
@@ -81,4 +120,48 @@ pub fn in_chunks(
         }
         ready.pop_front().map(Ok)
     }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write as _;
+
+    /// Zeros as bzip2: a thousandth of a thousandth of them.
+    fn zeros(count: usize) -> Vec<u8> {
+        let mut encoder = bzip2::write::BzEncoder::new(Vec::new(), bzip2::Compression::best());
+        let block = vec![0; 1 << 20];
+        for _ in 0..count >> 20 {
+            encoder.write_all(&block).unwrap();
+        }
+        encoder.finish().unwrap()
+    }
+
+    fn unpacked(data: &[u8], size: u64) -> Result<Vec<u8>, String> {
+        Unpacker::default().unpacked("bz2", data, size)
+    }
+
+    #[test]
+    fn a_chunk_that_claims_far_more_than_it_has_is_refused_before_memory_is_taken() {
+        let bomb = zeros(256 << 20);
+        assert!(bomb.len() < 10_000, "{}", bomb.len());
+        let error = unpacked(&bomb, 256 << 20).unwrap_err();
+        assert!(error.contains("claims to hold 268435456"), "{error}");
+        // one that lies is cut off behind what it claims
+        let error = unpacked(&bomb, 1 << 20).unwrap_err();
+        assert!(error.contains("holds 1048577 bytes"), "{error}");
+        let plain = zeros(32 << 20);
+        assert_eq!(unpacked(&plain, 32 << 20).unwrap().len(), 32 << 20);
+    }
+
+    #[test]
+    fn many_chunks_do_not_grow_without_bound_either() {
+        let chunk = zeros(32 << 20);
+        let mut unpacker = Unpacker::default();
+        let mut unpack = || unpacker.unpacked("bz2", &chunk, 32 << 20);
+        let count = std::iter::from_fn(|| unpack().ok()).count();
+        assert_eq!(count, 8, "256 MiB");
+        let error = unpack().unwrap_err();
+        assert!(error.contains("chunks of"), "{error}");
+    }
 }

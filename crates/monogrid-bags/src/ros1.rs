@@ -1,7 +1,7 @@
 //! ROS 1 bags, version 2.0: records of header fields (`name=value`) and data; messages lie in chunks.
 
 use crate::bag::{Messages, TopicKind};
-use crate::chunks::{self, in_chunks, unpacked};
+use crate::chunks::{self, Unpacker, in_chunks};
 use crate::error::BagError;
 use crate::fields::Fields;
 use crate::message::{Raw, Wire};
@@ -26,6 +26,7 @@ pub fn messages(path: &Path) -> Result<Messages, BagError> {
     let mut records = Ros1Messages {
         file,
         connections: HashMap::new(),
+        unpacker: Unpacker::default(),
     };
     Ok(in_chunks(path, move |messages| records.read_on(messages)))
 }
@@ -34,6 +35,7 @@ struct Ros1Messages {
     file: BufReader<File>,
     /// Topic and kind; only ever asked by number.
     connections: HashMap<u32, (Arc<str>, TopicKind)>,
+    unpacker: Unpacker,
 }
 
 impl Ros1Messages {
@@ -50,7 +52,9 @@ impl Ros1Messages {
         }
         let compression = fields.text("compression").unwrap_or_default();
         let size = fields.u32("size").ok_or("a chunk does not say its size")?;
-        let records = unpacked(&compression, &data, u64::from(size))?;
+        let records = self
+            .unpacker
+            .unpacked(&compression, &data, u64::from(size))?;
         let mut rest = records.as_slice();
         while !rest.is_empty() {
             let cut = || "a chunk ends within a record".to_owned();

@@ -1,9 +1,9 @@
-//! Opening files that may be anything.
+//! Opening files that may be anything. Paths may lead into archives that are open.
 
-use crate::DatasetError;
+use crate::{DatasetError, archive};
 use std::fs::File;
-use std::io::Read;
-use std::path::Path;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
 
 /// Opens a regular file (through links) and says how many bytes it has.
 ///
@@ -27,21 +27,61 @@ pub fn open_file(path: &Path) -> Result<(File, u64), DatasetError> {
 
 /// The content of a regular file of at most `max_bytes`.
 ///
+/// A path may lead into the archive of a [`Dataset`](crate::Dataset) that is still there.
+///
 /// # Errors
 /// When it cannot be read, is a folder, pipe or device, or holds more.
 pub fn read_file(path: &Path, max_bytes: u64) -> Result<Vec<u8>, DatasetError> {
-    let (file, length) = open_file(path)?;
-    let mut bytes = Vec::with_capacity(length.min(max_bytes) as usize);
-    // files of the system say that they are empty, and are not
-    file.take(max_bytes.saturating_add(1))
-        .read_to_end(&mut bytes)
-        .map_err(|e| DatasetError::io("read", path, e))?;
+    let most = max_bytes.saturating_add(1);
+    let bytes = match archive::within(path) {
+        Some((archive, name)) if archive.is_file(&name) => archive.read(&name, most),
+        _ => {
+            let (file, length) = open_file(path)?;
+            let mut bytes = Vec::with_capacity(length.min(max_bytes) as usize);
+            // files of the system say that they are empty, and are not
+            let read = file.take(most).read_to_end(&mut bytes);
+            read.map(|_| bytes)
+        }
+    };
+    let bytes = bytes.map_err(|e| DatasetError::io("read", path, e))?;
     if bytes.len() as u64 > max_bytes {
         let found = format!("more than {max_bytes} bytes");
         let expected = format!("a file of at most {max_bytes} bytes");
         return Err(DatasetError::content(path, found, expected));
     }
     Ok(bytes)
+}
+
+/// Whether a path leads to a regular file.
+pub(crate) fn is_file(path: &Path) -> bool {
+    match archive::within(path) {
+        Some((archive, name)) if archive.is_file(&name) => true,
+        _ => path.is_file(),
+    }
+}
+
+/// Whether a path leads to a folder.
+pub(crate) fn is_folder(path: &Path) -> bool {
+    match archive::within(path) {
+        Some((archive, name)) if archive.is_folder(&name) => true,
+        _ => path.is_dir(),
+    }
+}
+
+/// Paths of the files and folders in a folder, in any order.
+pub(crate) fn paths_in(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    match archive::within(folder) {
+        Some((archive, name)) if archive.is_folder(&name) => {
+            let names = archive.names_in(&name).into_iter();
+            Ok(names.map(|name| folder.join(name)).collect())
+        }
+        _ => {
+            let entries = std::fs::read_dir(folder)?;
+            Ok(entries
+                .filter_map(|entry| Some(entry.ok()?.path()))
+                .collect())
+        }
+    }
 }
 
 #[cfg(test)]

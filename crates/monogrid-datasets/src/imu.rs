@@ -1,6 +1,7 @@
 //! Inertial measurements: EuRoC's `imu0`, and the logs of phones.
 
 use crate::calibration::sensor_yaml;
+use crate::files::is_file;
 use crate::text::{numbers, read_text};
 use crate::{DatasetError, parse_seconds, write_atomically};
 use monogrid_geometry::median::median;
@@ -62,7 +63,7 @@ impl ImuFile {
         let samples = samples
             .ok_or_else(|| DatasetError::content(path, "times that are no numbers", "numbers"))?;
         let calibration = match path.parent().map(|folder| folder.join("sensor.yaml")) {
-            Some(yaml) if yaml.is_file() => sensor_yaml(&read_text(&yaml)?),
+            Some(yaml) if is_file(&yaml) => sensor_yaml(&read_text(&yaml)?),
             _ => ImuCalibration::default(),
         };
         Ok(Self {

@@ -15,6 +15,7 @@
 //! was found and what was expected, never a panic.
 #![deny(missing_docs)]
 
+mod archive;
 mod atomic;
 mod bytes;
 mod calibration;

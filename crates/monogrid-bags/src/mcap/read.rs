@@ -3,7 +3,7 @@
 
 use super::{MAGIC, op};
 use crate::bag::{Messages, TopicKind};
-use crate::chunks::{block, in_chunks, unpacked};
+use crate::chunks::{Unpacker, block, in_chunks};
 use crate::error::BagError;
 use crate::fields::Fields;
 use crate::message::{Raw, Wire};
@@ -20,6 +20,7 @@ pub fn messages(path: &Path) -> Result<Messages, BagError> {
         file: BufReader::with_capacity(1 << 18, file),
         schemas: HashMap::new(),
         channels: HashMap::new(),
+        unpacker: Unpacker::default(),
     };
     records
         .expect_magic()
@@ -38,6 +39,7 @@ struct McapMessages {
     /// Kinds of types; only ever asked by number.
     schemas: HashMap<u16, TopicKind>,
     channels: HashMap<u16, Channel>,
+    unpacker: Unpacker,
 }
 
 impl McapMessages {
@@ -68,7 +70,7 @@ impl McapMessages {
     /// Takes what the records of a chunk say.
     fn take_chunk(&mut self, chunk: Fields, messages: &mut VecDeque<Raw>) -> Result<(), String> {
         let (compression, size, data) = chunk_of(chunk).ok_or_else(|| too_short(op::CHUNK))?;
-        let records = unpacked(compression, data, size)?;
+        let records = self.unpacker.unpacked(compression, data, size)?;
         let mut rest = Fields(&records);
         while !rest.0.is_empty() {
             let (opcode, body) = record_of(&mut rest).ok_or("a chunk ends within a record")?;
@@ -258,7 +260,7 @@ mod tests {
             (bytes(vec![chunk("br", 1, &[0])]), "\"br\" is not supported"),
             (
                 bytes(vec![chunk("", 1 << 40, &[0])]),
-                "claims 1099511627776",
+                "claims to hold 1099511627776",
             ),
             (bytes(vec![chunk("", 2, &[0])]), "holds 1 bytes, expected 2"),
             (

@@ -1,6 +1,6 @@
 //! JPEG to luma or colour, refusing incomplete files.
 
-use super::decode::MAX_SIDE;
+use super::decode::{MAX_SIDE, max_pixels_of};
 use monogrid_image::luma_of_rgb;
 use zune_core::bytestream::ZCursor;
 use zune_core::colorspace::ColorSpace;
@@ -53,11 +53,13 @@ fn components(bytes: &[u8], max_pixels: usize) -> Result<Option<ColorSpace>, Str
     }
     let mut header = JpegDecoder::new_with_options(ZCursor::new(bytes), options());
     header.decode_headers().map_err(|e| e.to_string())?;
+    let max_pixels = max_pixels.min(max_pixels_of(bytes.len()));
     if let Some((width, height)) = header.dimensions()
         && width * height > max_pixels
     {
         return Err(format!(
-            "{width}x{height} pixels, expected at most {max_pixels}"
+            "{width}x{height} pixels, expected at most {max_pixels} in a file of {} bytes",
+            bytes.len()
         ));
     }
     Ok(header.input_colorspace())

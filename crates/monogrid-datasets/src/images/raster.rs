@@ -1,6 +1,6 @@
 //! An image as a lossless file holds it: PNG, or PBM, PGM, PPM.
 
-use super::decode::{MAX_PIXELS, MAX_SIDE};
+use super::decode::{MAX_SIDE, max_pixels_of};
 use std::io::Cursor;
 
 /// Samples of all pixels, row by row.
@@ -64,8 +64,10 @@ pub(super) fn decode_png(
     decoder.set_ignore_iccp_chunk(true);
     let (width, height) = decoder.read_header_info().map_err(said)?.size();
     let (width, height) = (width as usize, height as usize);
-    check_size(width, height, max_sides)?;
+    check_size(width, height, max_sides, bytes.len())?;
     let mut reader = decoder.read_info().map_err(said)?;
+    // four bytes for each: more only where fewer pixels take them
+    let max_bytes = max_bytes.min(4 * max_pixels_of(bytes.len()));
     let size = reader.output_buffer_size().filter(|b| *b <= max_bytes);
     let mut samples = vec![0; size.ok_or("it needs too much memory")?];
     reader.next_frame(&mut samples).map_err(said)?;
@@ -92,7 +94,7 @@ pub(super) fn decode_pnm(bytes: &[u8]) -> Result<Raster, String> {
     words.rest = &bytes[2..];
     let mut number = || words.number().ok_or("the header is damaged or cut off");
     let (width, height) = (number()?, number()?);
-    check_size(width, height, [MAX_SIDE; 2])?;
+    check_size(width, height, [MAX_SIDE; 2], bytes.len())?;
     let is_bitmap = matches!(kind, b'1' | b'4');
     let white = if is_bitmap { 1 } else { number()? };
     let white = u16::try_from(white).ok().filter(|white| *white > 0);
@@ -117,12 +119,23 @@ pub(super) fn decode_pnm(bytes: &[u8]) -> Result<Raster, String> {
 }
 
 /// Refuses what a damaged header says.
-fn check_size(width: usize, height: usize, [widest, highest]: [usize; 2]) -> Result<(), String> {
+fn check_size(
+    width: usize,
+    height: usize,
+    [widest, highest]: [usize; 2],
+    num_bytes: usize,
+) -> Result<(), String> {
     if width == 0 || height == 0 {
         return Err("the image has no pixels".into());
     }
-    if width > widest || height > highest || width * height > MAX_PIXELS {
+    if width > widest || height > highest {
         return Err(format!("{width}x{height} pixels are too many"));
+    }
+    let most = max_pixels_of(num_bytes);
+    if width * height > most {
+        return Err(format!(
+            "{width}x{height} pixels are too many for a file of {num_bytes} bytes, at most {most} are read"
+        ));
     }
     Ok(())
 }

@@ -2,6 +2,7 @@
 
 use super::{Dataset, Layout, Parts, SourceOptions};
 use crate::DatasetError;
+use crate::files::is_file;
 use crate::text::{data_lines, read_text};
 use std::path::{Path, PathBuf};
 
@@ -9,7 +10,7 @@ use std::path::{Path, PathBuf};
 pub(super) fn find(path: &Path) -> Option<PathBuf> {
     [path.join("mav0"), path.to_path_buf()]
         .into_iter()
-        .find(|p| p.join("cam0/data.csv").is_file())
+        .find(|p| is_file(&p.join("cam0/data.csv")))
 }
 
 /// Opens camera 0.
@@ -39,7 +40,7 @@ pub(super) fn open(
         let (found, expected) = ("a list without lines", "lines of `nanoseconds,file name`");
         return Err(DatasetError::no_frames(&list, found, expected));
     }
-    let existing = |p: PathBuf| p.is_file().then_some(p);
+    let existing = |p: PathBuf| is_file(&p).then_some(p);
     Dataset::assemble(
         Parts {
             root: path.to_path_buf(),

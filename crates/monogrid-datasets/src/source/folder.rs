@@ -1,8 +1,9 @@
 //! Folders of images without a list: plain, TUM monoVO and KITTI.
 
-use super::archive::Unpacked;
 use super::{DEFAULT_FPS, Dataset, Layout, Parts, SourceOptions, natural_order};
 use crate::DatasetError;
+use crate::archive::Archive;
+use crate::files::{is_file, is_folder, paths_in};
 use crate::text::{data_lines, read_text};
 use crate::timestamp::parse_seconds;
 use std::ffi::OsStr;
@@ -25,12 +26,13 @@ pub(super) fn open(root: &Path, options: SourceOptions) -> Result<Dataset, Datas
     let Images {
         folder,
         images,
-        unpacked,
+        archive,
     } = find_images(root)?;
     let times_file = [root.join("times.txt"), folder.join("../times.txt")]
         .into_iter()
-        .find(|p| p.is_file());
-    let mut warnings: Vec<String> = unpacked.iter().map(|u| u.note()).collect();
+        .find(|p| is_file(p));
+    let note = archive.as_ref().and_then(|archive| archive.note());
+    let mut warnings: Vec<String> = note.into_iter().collect();
     let (layout, entries) = match times_file {
         Some(times) => read_times(&times, images, &mut warnings)?,
         None => {
@@ -46,7 +48,7 @@ pub(super) fn open(root: &Path, options: SourceOptions) -> Result<Dataset, Datas
             list: folder,
             entries,
             warnings,
-            unpacked,
+            archive,
             ..Parts::default()
         },
         options,
@@ -57,34 +59,34 @@ pub(super) fn open(root: &Path, options: SourceOptions) -> Result<Dataset, Datas
 struct Images {
     folder: PathBuf,
     images: Vec<PathBuf>,
-    /// What the folder belongs to, where it was an archive.
-    unpacked: Option<Arc<Unpacked>>,
+    /// The archive that the folder is in.
+    archive: Option<Arc<Archive>>,
 }
 
 /// The images of a sequence, those in its `images.zip` (TUM monoVO) if there are no others.
 fn find_images(root: &Path) -> Result<Images, DatasetError> {
     let candidates =
         std::iter::once(root.to_path_buf()).chain(IMAGE_FOLDERS.iter().map(|name| root.join(name)));
-    for folder in candidates.filter(|f| f.is_dir()) {
+    for folder in candidates.filter(|f| is_folder(f)) {
         let images = images_in(&folder)?;
         if !images.is_empty() {
             return Ok(Images {
                 folder,
                 images,
-                unpacked: None,
+                archive: None,
             });
         }
     }
     let zipped = root.join("images.zip");
     if zipped.is_file() {
-        let unpacked = Arc::new(Unpacked::new(&zipped)?);
+        let archive = Archive::open(&zipped)?;
         return Ok(Images {
-            unpacked: Some(Arc::clone(&unpacked)),
-            ..find_images(&unpacked.root())?
+            archive: Some(Arc::clone(&archive)),
+            ..find_images(&archive.root())?
         });
     }
-    let entries = std::fs::read_dir(root).map_err(|e| DatasetError::io("read", root, e))?;
-    let found = match entries.count() {
+    let entries = paths_in(root).map_err(|e| DatasetError::io("read", root, e))?;
+    let found = match entries.len() {
         0 => "an empty folder".to_owned(),
         n => format!("{n} files and folders, none of them an image or a list of images"),
     };
@@ -94,10 +96,11 @@ fn find_images(root: &Path) -> Result<Images, DatasetError> {
 
 /// Image files directly in a folder, in natural order.
 fn images_in(folder: &Path) -> Result<Vec<PathBuf>, DatasetError> {
-    let entries = std::fs::read_dir(folder).map_err(|e| DatasetError::io("read", folder, e))?;
-    let paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
-    let named = paths.filter_map(|p| Some((p.file_name()?.to_string_lossy().into_owned(), p)));
-    let is_frame = |(name, path): &(String, PathBuf)| is_frame_name(name) && path.is_file();
+    let paths = paths_in(folder).map_err(|e| DatasetError::io("read", folder, e))?;
+    let named = paths
+        .into_iter()
+        .filter_map(|p| Some((p.file_name()?.to_string_lossy().into_owned(), p)));
+    let is_frame = |(name, path): &(String, PathBuf)| is_frame_name(name) && is_file(path);
     let mut named: Vec<(String, PathBuf)> = named.filter(is_frame).collect();
     named.sort_by(|a, b| natural_order(&a.0, &b.0));
     Ok(named.into_iter().map(|(_, path)| path).collect())

@@ -3,7 +3,6 @@
 //! [`Dataset::open`] looks at what is there and returns a time-ordered list of frames with
 //! whatever belongs to them. Nothing is decoded here; see [`crate::read_gray`].
 
-mod archive;
 mod euroc;
 mod folder;
 mod list;
@@ -13,8 +12,9 @@ mod tum;
 
 pub use natural::natural_order;
 
+use crate::archive::{self, Archive};
+use crate::files::is_file;
 use crate::{Calibration, DatasetError, DepthCalibration};
-use archive::Unpacked;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -108,8 +108,8 @@ pub struct Dataset {
     pub imu_path: Option<PathBuf>,
     /// What looked odd, in sentences for people.
     pub warnings: Vec<String>,
-    /// What frames come from, where that was an archive.
-    unpacked: Option<Arc<Unpacked>>,
+    /// Where its files are, if that is an archive: they can be read as long as it lives.
+    archive: Option<Arc<Archive>>,
 }
 
 impl Dataset {
@@ -129,18 +129,22 @@ impl Dataset {
         if metadata.is_file() {
             return list::open_list(path, options);
         }
+        Self::open_folder(path, options)
+    }
+
+    fn open_folder(path: &Path, options: SourceOptions) -> Result<Self, DatasetError> {
         if let Some(mav0) = euroc::find(path) {
             return euroc::open(path, &mav0, options);
         }
         for name in ["rgb.txt", "gray.txt"] {
             let list = path.join(name);
-            if list.is_file() {
+            if is_file(&list) {
                 return tum::open(path, &list, options);
             }
         }
         match folder::open(path, options) {
             // depth alone, with poses, can be mapped
-            Err(DatasetError::NoFrames { .. }) if path.join("depth.txt").is_file() => {
+            Err(DatasetError::NoFrames { .. }) if is_file(&path.join("depth.txt")) => {
                 tum::open_depth(path, options)
             }
             outcome => outcome,
@@ -149,11 +153,11 @@ impl Dataset {
 
     /// Opens what an archive holds; calibration and reference may lie beside its images as in a folder.
     fn open_archive(path: &Path, options: SourceOptions) -> Result<Self, DatasetError> {
-        let unpacked = Arc::new(Unpacked::new(path)?);
-        let mut dataset = Self::open(&unpacked.root(), options)?;
+        let archive = Archive::open(path)?;
+        let mut dataset = Self::open_folder(&archive.root(), options)?;
         dataset.name = archive::stem(path);
-        dataset.warnings.push(unpacked.note());
-        dataset.unpacked = Some(unpacked);
+        dataset.warnings.extend(archive.note());
+        dataset.archive = Some(archive);
         Ok(dataset)
     }
 
@@ -223,7 +227,7 @@ impl Dataset {
         let frames = order_frames(&list, parts.entries, &mut warnings)?;
         warn_missing(&list, &frames, &mut warnings)?;
         depths.sort_by_key(|d| d.timestamp_ns);
-        let named = |names: &[&str]| names.iter().map(|n| root.join(n)).find(|p| p.is_file());
+        let named = |names: &[&str]| names.iter().map(|n| root.join(n)).find(|p| is_file(p));
         let truth = parts.ground_truth;
         let truth = truth.or_else(|| named(&["groundtruth.txt", "gt.txt", "poses.txt"]));
         let calibration = named(&["calibration.toml", "calibration.txt"]);
@@ -240,7 +244,7 @@ impl Dataset {
             vignette_path: named(&["vignette.png"]),
             imu_path: named(&IMU_NAMES),
             warnings,
-            unpacked: parts.unpacked,
+            archive: parts.archive,
             root,
         })
     }
@@ -250,7 +254,7 @@ impl Dataset {
 fn kitti_poses(root: &Path, layout: Layout) -> Option<PathBuf> {
     let name = format!("{}.txt", root.file_name()?.to_string_lossy());
     let path = root.parent()?.parent()?.join("poses").join(name);
-    (layout == Layout::Kitti && path.is_file()).then_some(path)
+    (layout == Layout::Kitti && is_file(&path)).then_some(path)
 }
 
 /// Names under which other programs keep calibrations, besides ours.
@@ -280,7 +284,7 @@ struct Parts {
     ground_truth: Option<PathBuf>,
     calibration_path: Option<PathBuf>,
     warnings: Vec<String>,
-    unpacked: Option<Arc<Unpacked>>,
+    archive: Option<Arc<Archive>>,
 }
 
 /// Frames sorted by time without duplicates.
@@ -329,7 +333,7 @@ fn warn_missing(
     frames: &[FrameEntry],
     warnings: &mut Vec<String>,
 ) -> Result<(), DatasetError> {
-    let missing: Vec<&FrameEntry> = frames.iter().filter(|f| !f.path.is_file()).collect();
+    let missing: Vec<&FrameEntry> = frames.iter().filter(|f| !is_file(&f.path)).collect();
     let Some(first) = missing.first().map(|frame| frame.path.display()) else {
         return Ok(());
     };

@@ -2,6 +2,7 @@
 
 use super::{Dataset, DepthEntry, Layout, Parts, SourceOptions};
 use crate::DatasetError;
+use crate::files::is_file;
 use crate::text::{data_lines, read_text};
 use crate::timestamp::parse_seconds;
 use std::path::{Path, PathBuf};
@@ -32,7 +33,7 @@ fn assemble(
     options: SourceOptions,
 ) -> Result<Dataset, DatasetError> {
     let depth_list = root.join("depth.txt");
-    let depths = match depth_list.is_file() {
+    let depths = match is_file(&depth_list) {
         true => read_list(root, &depth_list)?,
         false => Vec::new(),
     };

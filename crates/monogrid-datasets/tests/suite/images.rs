@@ -269,3 +269,26 @@ fn progressive_jpeg_is_read_whole_or_not_at_all() {
         );
     }
 }
+
+/// A plain PNG or JPEG of this size.
+fn plain(width: usize, height: usize) -> [Vec<u8>; 2] {
+    let image = Image::from_fn(width, height, |_, _| 90);
+    [encode_png(&image), encode_jpeg(&image, 50)]
+}
+
+#[test]
+fn a_small_file_of_a_huge_image_is_refused() {
+    for bytes in plain(16384, 4000) {
+        assert!(bytes.len() < 4_000_000, "{}", bytes.len());
+        let error = decode_gray(&bytes, path()).expect_err("a bomb").to_string();
+        assert!(error.contains("16384x4000 pixels"), "{error}");
+        assert!(
+            error.contains(&format!("of {} bytes", bytes.len())),
+            "{error}"
+        );
+    }
+    // a black frame of 4K is a usual one
+    for bytes in plain(3840, 2160) {
+        assert!(decode_gray(&bytes, path()).is_ok());
+    }
+}

@@ -338,14 +338,13 @@ fn depth_without_images_opens() {
     assert_eq!(dataset.frame_interval_secs(), None);
 }
 
-/// The files of a folder as a zip file (with an entry that leads out of it) and as a gzipped tar file.
+/// The files of a folder as a zip file (with an entry that leads out of it), as a tar file with a long name, and as a gzipped one.
 fn archives(folder: &Path) -> TempDir {
     let out = self::folder();
     let create = |name: &str| fs::File::create(out.path().join(name)).expect("writable");
     let mut zip = zip::ZipWriter::new(create("Kitchen.zip"));
     let options = zip::write::SimpleFileOptions::default();
-    let gz = flate2::write::GzEncoder::new(create("Kitchen.tar.gz"), flate2::Compression::fast());
-    let mut tar = tar::Builder::new(gz);
+    let mut tar = tar::Builder::new(Vec::new());
     let mut add = |name: &str, bytes: &[u8]| {
         zip.start_file(name, options).expect("an entry");
         std::io::Write::write_all(&mut zip, bytes).expect("writable");
@@ -359,9 +358,18 @@ fn archives(folder: &Path) -> TempDir {
     add("../escaped.txt", b"x");
     add("set/program.exe", b"x");
     zip.finish().expect("writable");
-    tar.into_inner()
-        .and_then(flate2::write::GzEncoder::finish)
-        .expect("writable");
+    let mut header = tar::Header::new_gnu();
+    header.set_size(1);
+    header.set_mode(0o644);
+    let long = format!("set/{}/note.md", "a long name ".repeat(20));
+    tar.append_data(&mut header, long, &b"x"[..])
+        .expect("an entry");
+    let tar = tar.into_inner().expect("in memory");
+    std::io::Write::write_all(&mut create("Kitchen.tar"), &tar).expect("writable");
+    let fast = flate2::Compression::fast();
+    let mut gz = flate2::write::GzEncoder::new(create("Kitchen.tar.gz"), fast);
+    std::io::Write::write_all(&mut gz, &tar).expect("writable");
+    gz.finish().expect("writable");
     out
 }
 
@@ -377,7 +385,7 @@ fn sequences_in_archives() {
     .expect("writable");
     fs::write(root.path().join("calibration.txt"), "5 5 4 3 8 6\n").expect("writable");
     let packed = archives(root.path());
-    for name in ["Kitchen.zip", "Kitchen.tar.gz"] {
+    for name in ["Kitchen.zip", "Kitchen.tar", "Kitchen.tar.gz"] {
         let dataset = open(&packed.path().join(name)).expect(name);
         assert_eq!(
             (dataset.name.as_str(), dataset.layout),
@@ -391,14 +399,12 @@ fn sequences_in_archives() {
             "files live as long as the data set"
         );
         assert!(copy.calibration(None).expect("readable").is_some());
-        assert!(
-            copy.warnings.iter().any(|w| w.contains("4 files")),
-            "{:?}",
-            copy.warnings
-        );
-        let folder = copy.root.clone();
+        let is_said = copy.warnings.iter().any(|w| w.contains("decompressed"));
+        assert_eq!(is_said, name == "Kitchen.tar.gz", "{:?}", copy.warnings);
+        let image = copy.frames[1].path.clone();
+        assert!(image.ends_with(format!("{name}/set/rgb/2.png")));
         drop(copy);
-        assert!(!folder.exists(), "and are deleted with it");
+        assert!(read_gray(&image).is_err(), "and go with it");
     }
     assert!(!packed.path().join("escaped.txt").exists());
 }
@@ -450,7 +456,7 @@ fn archives_that_are_no_sequences() {
     let mut header = tar::Header::new_gnu();
     header.set_size(10_000_000);
     header.set_mode(0o644);
-    // one that is not even unpacked
+    // one that would not even be listed
     tar.append_data(&mut header, "1.bin", std::io::repeat(0).take(10_000_000))
         .expect("an entry");
     tar.into_inner()
@@ -459,7 +465,7 @@ fn archives_that_are_no_sequences() {
     let error = open(&root.path().join("bomb.tgz"))
         .expect_err("a bomb")
         .to_string();
-    assert!(error.contains("cannot be read"), "{error}");
+    assert!(error.contains("100 times the size"), "{error}");
     let whole = fs::read(&bomb).expect("readable");
     for (name, bytes) in [
         ("cut.zip", &whole[..whole.len() / 2]),
@@ -501,6 +507,66 @@ fn a_zip_file_whose_content_is_not_what_went_in_is_refused() {
     // its flags, its method, a byte of the image
     assert!(refused(central + 8, 1).contains("encrypted"));
     assert!(refused(central + 10, 12).contains("method 12"));
-    let error = refused(central - 10, 1);
-    assert!(error.contains("unpack"), "{error}");
+    let mut bytes = whole.clone();
+    bytes[central - 10] ^= 1;
+    let path = root.path().join("changed.zip");
+    fs::write(&path, bytes).expect("writable");
+    let dataset = open(&path).expect("its directory is whole");
+    let error = read_gray(&dataset.frames[0].path).expect_err("changed");
+    assert!(matches!(error, DatasetError::Io { .. }), "{error}");
+}
+
+/// A tar file with a header of this kind and size (of zeros that are not written), and an image behind it.
+fn tar_with_header(path: &Path, kind: tar::EntryType, size: u64) {
+    use std::io::{Seek as _, SeekFrom, Write as _};
+    let mut header = tar::Header::new_gnu();
+    header.set_entry_type(kind);
+    header.set_size(size);
+    header.set_cksum();
+    let mut file = fs::File::create(path).expect("writable");
+    file.write_all(header.as_bytes()).expect("writable");
+    file.seek(SeekFrom::Current(size.next_multiple_of(512) as i64))
+        .expect("seekable");
+    let mut rest = tar::Builder::new(file);
+    let image = encode_png(&gray(8, 6));
+    let mut header = tar::Header::new_gnu();
+    header.set_size(image.len() as u64);
+    rest.append_data(&mut header, "1.png", &image[..])
+        .expect("an entry");
+    rest.finish().expect("writable");
+}
+
+#[test]
+fn a_tar_file_with_a_huge_name_or_header_is_refused_before_it_is_read() {
+    let root = folder();
+    let path = root.path().join("a.tar");
+    for kind in [tar::EntryType::GNULongName, tar::EntryType::XHeader] {
+        // sparse: no disk has to hold it, no memory either
+        tar_with_header(&path, kind, 1 << 40);
+        let error = open(&path).expect_err("huge").to_string();
+        assert!(error.contains("1099511627776 bytes"), "{error}");
+    }
+    // of no use, and skipped
+    tar_with_header(&path, tar::EntryType::XGlobalHeader, 1 << 40);
+    let dataset = open(&path).expect("opens");
+    assert!(read_gray(&dataset.frames[0].path).is_ok());
+}
+
+#[test]
+fn a_tar_file_that_is_cut_within_a_file_is_refused() {
+    let root = folder();
+    let mut tar = tar::Builder::new(Vec::new());
+    let image = encode_png(&gray(80, 60));
+    for name in ["1.png", "2.png"] {
+        let mut header = tar::Header::new_gnu();
+        header.set_size(image.len() as u64);
+        tar.append_data(&mut header, name, &image[..])
+            .expect("an entry");
+    }
+    let bytes = tar.into_inner().expect("in memory");
+    let second = bytes.len() - 1024 - image.len().next_multiple_of(512);
+    let path = root.path().join("cut.tar");
+    fs::write(&path, &bytes[..second + image.len() / 2]).expect("writable");
+    let error = open(&path).expect_err("cut").to_string();
+    assert!(error.contains("cut off"), "{error}");
 }

@@ -8,10 +8,6 @@ use crate::map::OccupancyMap;
 use std::io::{BufRead, Write};
 use std::path::Path;
 
-/// Memory that a map read from any file may take, and for each byte of the file.
-const READ_BUDGET_BYTES: u64 = 1 << 30;
-const READ_BUDGET_PER_BYTE: u64 = 64;
-
 /// Formats that maps are written in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MapFormat {
@@ -86,18 +82,15 @@ impl MapFormat {
     }
 }
 
-/// Reads an `.ot`, `.bt` or `.mgo` of known length by its first bytes. A file may ask for 1 GB of memory, and more the larger
-/// it is.
+/// Reads an `.ot`, `.bt` or `.mgo` by its first bytes.
 ///
 /// # Errors
-/// What is none of them, or damaged.
+/// What is none of them, or damaged, or does not fit into `memory_budget_bytes`.
 pub fn read_map(
     mut input: impl BufRead,
-    length_bytes: u64,
+    memory_budget_bytes: usize,
 ) -> Result<(OccupancyMap, MapFormat), MapError> {
-    let budget =
-        READ_BUDGET_BYTES.saturating_add(READ_BUDGET_PER_BYTE.saturating_mul(length_bytes));
-    let budget = usize::try_from(budget).unwrap_or(usize::MAX);
+    let budget = memory_budget_bytes;
     let start = input.fill_buf();
     let start = start.map_err(MapError::io("reading a map"))?;
     let (map, format) = if start.starts_with(b"# Octomap OcTree binary file") {

@@ -10,6 +10,9 @@ use monogrid_datasets::encode_png;
 use serde::Serialize;
 use std::path::PathBuf;
 
+/// Most pixels of all pictures together: a minute of work.
+const MAX_PIXELS: usize = 1 << 28;
+
 /// Longer side of a picture, px.
 fn pixels(text: &str) -> Result<usize, String> {
     let pixels = text.parse().ok().filter(|n| (1..=16_384).contains(n));
@@ -74,6 +77,17 @@ pub fn execute(args: &SliceArgs) -> CommandResult {
             args.map.display(),
             f64::from(first.z) * resolution,
             f64::from(last.z + 1) * resolution
+        )));
+    }
+    let cells = window.size.map(|cells| cells * window.scale);
+    let pixels = cells[0].saturating_mul(cells[1]);
+    if pixels.saturating_mul(layers.len()) > MAX_PIXELS {
+        return Err(Failure::input(format!(
+            "{} layers of {} x {} pixels are too many, expected at most {MAX_PIXELS} pixels in all: take fewer layers \
+             (--min-height, --max-height), fewer --pixels, or a part (`monogrid crop`)",
+            layers.len(),
+            cells[0],
+            cells[1]
         )));
     }
     let inputs = Inputs::of("the map", &args.map);

@@ -61,7 +61,11 @@ const NUM_LEVELS: usize = 4;
 /// Trains and writes.
 pub fn execute(args: &VocabularyArgs) -> CommandResult {
     use_threads(args.threads)?;
-    let paths = image_paths(args)?;
+    let open = |path: &PathBuf| Dataset::open(path, SourceOptions::default()).bad_input();
+    // images in an archive can be read as long as these live
+    let datasets = args.images.iter().map(open);
+    let datasets = datasets.collect::<Result<Vec<_>, _>>()?;
+    let paths = image_paths(&datasets, args.every.get());
     let inputs = Inputs::default()
         .and_all("an image", &paths)
         .and_all("a list of images", &args.images);
@@ -106,14 +110,14 @@ pub fn execute(args: &VocabularyArgs) -> CommandResult {
 }
 
 /// The images to learn from, in the order of the folders.
-fn image_paths(args: &VocabularyArgs) -> Result<Vec<PathBuf>, Failure> {
-    let mut paths = Vec::new();
-    for folder in &args.images {
-        let dataset = Dataset::open(folder, SourceOptions::default()).bad_input()?;
-        let frames = dataset.frames.into_iter().step_by(args.every.get());
-        paths.extend(frames.map(|frame| frame.path));
-    }
-    Ok(paths)
+fn image_paths(datasets: &[Dataset], every: usize) -> Vec<PathBuf> {
+    let of_one = |dataset: &Dataset| {
+        let frames = dataset.frames.iter().step_by(every);
+        frames
+            .map(|frame| frame.path.clone())
+            .collect::<Vec<PathBuf>>()
+    };
+    datasets.iter().flat_map(of_one).collect()
 }
 
 /// The descriptors of each image.
