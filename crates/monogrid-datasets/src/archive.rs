@@ -318,7 +318,6 @@ impl Listing<'_> {
             let place = Place::Zip(entry.wayfinder(), is_compressed, length);
             self.add(&name, length, place)?;
         }
-        drop(entries);
         Ok((Container::Zip(Box::new(zip)), self.files, None))
     }
 
