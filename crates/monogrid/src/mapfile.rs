@@ -13,16 +13,14 @@ pub fn save(map: &OccupancyMap, file: &OutputFile, format: MapFormat) -> Result<
     Ok(std::fs::metadata(file.path()).map_or(0, |metadata| metadata.len()))
 }
 
-/// Blocks of 8x8x8 cells that any map file may describe: two thousand cubic metres of cells of 5 cm. What commands do with
-/// a map takes memory and time for each, and a few bytes can describe billions.
-const SMALL_FILE_BRICKS: u64 = 1 << 15;
+/// Blocks of 8x8x8 cells that any map file may describe: fifteen hundred cubic metres of cells of 5 cm. What commands do
+/// with a map takes memory and time for each, and a few bytes can describe billions.
+const SMALL_FILE_BRICKS: u64 = 3 << 13;
 
-/// Bytes of a file for each more. Blocks at surfaces take more of them; of free space there are as many again.
-const BYTES_PER_BRICK: u64 = 32;
-
-/// Memory that the map of a file may take while it is read, and for each byte of it.
-const READ_BUDGET_BYTES: u64 = 64 << 20;
-const READ_BUDGET_PER_BYTE: u64 = 64;
+/// Bytes of a small file, and bytes of a larger one for each block more. Those at surfaces take more of them, those of
+/// free space hardly any.
+const SMALL_FILE_BYTES: u64 = 1 << 20;
+const BYTES_PER_BRICK: u64 = 8;
 
 /// Set in the environment by who trusts a map that is large for its file.
 const LARGE_MAPS: &str = "MONOGRID_LARGE_MAPS";
@@ -31,12 +29,9 @@ const LARGE_MAPS: &str = "MONOGRID_LARGE_MAPS";
 pub fn load(path: &Path) -> Result<(OccupancyMap, MapFormat), Failure> {
     let (file, bytes) = open_file(path).bad_input()?;
     let is_trusted = std::env::var_os(LARGE_MAPS).is_some();
-    let budget = match is_trusted {
-        true => u64::MAX,
-        false => READ_BUDGET_BYTES.saturating_add(READ_BUDGET_PER_BYTE.saturating_mul(bytes)),
-    };
-    let budget = usize::try_from(budget).unwrap_or(usize::MAX);
-    let read = read_map(BufReader::new(file), budget).map_err(|error| {
+    // what a file may ask for grows with its length
+    let length = if is_trusted { u64::MAX } else { bytes };
+    let read = read_map(BufReader::new(file), length).map_err(|error| {
         let context = match error {
             MapError::MemoryBudget { .. } => {
                 format!("map {}: {}", path.display(), too_large(bytes))
@@ -58,7 +53,7 @@ pub fn load(path: &Path) -> Result<(OccupancyMap, MapFormat), Failure> {
 }
 
 fn max_bricks(file_bytes: u64) -> u64 {
-    SMALL_FILE_BRICKS.max(file_bytes / BYTES_PER_BRICK)
+    SMALL_FILE_BRICKS + file_bytes.saturating_sub(SMALL_FILE_BYTES) / BYTES_PER_BRICK
 }
 
 fn too_large(file_bytes: u64) -> String {
@@ -100,14 +95,14 @@ mod tests {
                 panic!("{single}, {depth}: it was read");
             };
             let error = format!("{error:#}");
-            assert!(error.contains("may describe 16777216 cells"), "{error}");
+            assert!(error.contains("may describe 12582912 cells"), "{error}");
             assert!(error.contains("MONOGRID_LARGE_MAPS=1"), "{error}");
         }
     }
 
     #[test]
     fn what_a_file_may_describe_grows_with_it() {
-        assert_eq!(max_bricks(20), 1 << 15);
-        assert_eq!(max_bricks(320 << 20), 10 << 20);
+        assert_eq!(max_bricks(20), max_bricks(1 << 20));
+        assert_eq!(max_bricks(9 << 20), max_bricks(20) + (1 << 20));
     }
 }

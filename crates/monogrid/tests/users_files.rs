@@ -778,3 +778,54 @@ fn the_second_of_two_runs_into_one_folder_is_refused() {
     let third = command(&[]).output().unwrap();
     assert_eq!(code(&third), 3, "{}", stderr(&third));
 }
+
+/// Images that take the program some time, as a zip, a tar and a gzipped tar file.
+fn write_archives(folder: &Path) {
+    let image = encode_png(&Image::from_fn(1600, 1200, |x, y| (x * 7 + y * 3) as u8));
+    let create = |name: &str| fs::File::create(folder.join(name)).unwrap();
+    let mut zip = zip::ZipWriter::new(create("a.zip"));
+    let mut tar = tar::Builder::new(Vec::new());
+    for k in 0..40 {
+        let name = format!("set/{k}.png");
+        let how = zip::write::SimpleFileOptions::default();
+        zip.start_file(&name, how).unwrap();
+        std::io::Write::write_all(&mut zip, &image).unwrap();
+        let mut header = tar::Header::new_gnu();
+        header.set_size(image.len() as u64);
+        tar.append_data(&mut header, name, &image[..]).unwrap();
+    }
+    zip.finish().unwrap();
+    let tar = tar.into_inner().unwrap();
+    fs::write(folder.join("a.tar"), &tar).unwrap();
+    let mut gz = flate2::write::GzEncoder::new(create("a.tgz"), flate2::Compression::none());
+    std::io::Write::write_all(&mut gz, &tar).unwrap();
+    gz.finish().unwrap();
+}
+
+#[test]
+fn images_of_an_archive_are_never_seen_in_the_folder_for_temporary_files() {
+    let folder = TempDir::new().unwrap();
+    write_archives(folder.path());
+    let temporary = folder.path().join("temporary");
+    fs::create_dir(&temporary).unwrap();
+    let names = || fs::read_dir(&temporary).unwrap().count();
+    for name in ["a.zip", "a.tar", "a.tgz"] {
+        let mut child = program()
+            .arg("check")
+            .arg(folder.path().join(name))
+            .args(["--fov", "60"])
+            .env("TMPDIR", &temporary)
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        for _ in 0..50 {
+            assert_eq!(names(), 0, "{name}, while it runs");
+            std::thread::sleep(std::time::Duration::from_millis(10));
+        }
+        // as if the computer lost power
+        child.kill().unwrap();
+        child.wait().unwrap();
+        assert_eq!(names(), 0, "{name}, killed");
+    }
+}

@@ -8,6 +8,10 @@ use crate::map::OccupancyMap;
 use std::io::{BufRead, Write};
 use std::path::Path;
 
+/// Memory that a map read from any file may take, and for each byte of the file.
+const READ_BUDGET_BYTES: u64 = 256 << 20;
+const READ_BUDGET_PER_BYTE: u64 = 64;
+
 /// Formats that maps are written in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MapFormat {
@@ -82,15 +86,18 @@ impl MapFormat {
     }
 }
 
-/// Reads an `.ot`, `.bt` or `.mgo` by its first bytes.
+/// Reads an `.ot`, `.bt` or `.mgo` of known length by its first bytes. A file may ask for 268 MB of memory, and more the
+/// larger it is.
 ///
 /// # Errors
-/// What is none of them, or damaged, or does not fit into `memory_budget_bytes`.
+/// What is none of them, or damaged.
 pub fn read_map(
     mut input: impl BufRead,
-    memory_budget_bytes: usize,
+    length_bytes: u64,
 ) -> Result<(OccupancyMap, MapFormat), MapError> {
-    let budget = memory_budget_bytes;
+    let budget =
+        READ_BUDGET_BYTES.saturating_add(READ_BUDGET_PER_BYTE.saturating_mul(length_bytes));
+    let budget = usize::try_from(budget).unwrap_or(usize::MAX);
     let start = input.fill_buf();
     let start = start.map_err(MapError::io("reading a map"))?;
     let (map, format) = if start.starts_with(b"# Octomap OcTree binary file") {
