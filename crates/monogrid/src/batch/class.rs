@@ -51,8 +51,8 @@ pub enum End {
     Interrupted,
 }
 
-/// Exit code of a program that panicked.
-const PANIC: i32 = 101;
+/// What a program says that panicked, whatever its exit code.
+const PANIC: &str = "panicked at ";
 /// Signals by which others end a program: hang up, interrupt, kill, terminate.
 const FROM_OUTSIDE: [i32; 4] = [1, 2, 9, 15];
 /// How the system says that something cannot be read now: an error of the device, too little memory, too many open files, a
@@ -76,13 +76,15 @@ impl Class {
             End::TooLong => Self::Timeout,
             End::Interrupted | End::Exit(4 | 130) => Self::Interrupted,
             End::Signal(signal) if FROM_OUTSIDE.contains(&signal) => Self::Killed,
-            End::Signal(_) | End::Exit(PANIC) => Self::Crashed,
+            End::Signal(_) => Self::Crashed,
+            End::Exit(1) if said.contains(PANIC) => Self::Crashed,
             End::Exit(1 | 2) if is_full() => Self::NoSpace,
             End::Exit(1 | 2) if can_pass() => Self::Failed,
             End::Exit(2) => Self::BadInput,
             End::Exit(0 | 3) => metrics.map_or(Self::Failed, Self::of_metrics),
             End::Exit(_) => match metrics.map(|metrics| metrics.status.as_str()) {
                 Some("unreadable") => Self::BadInput,
+                Some("failed") => Self::Crashed,
                 _ => Self::Failed,
             },
         }
@@ -192,7 +194,11 @@ mod tests {
             assert_eq!(of(exit(0), &said, "done", 100), Class::Ok, "a warning");
         }
         assert_eq!(Class::of(exit(0), "", None), Class::Failed, "no summary");
-        assert_eq!(Class::of(exit(101), "", None), Class::Crashed);
+        let said = "thread 'mapper' (7) panicked at a.rs:1:2:\nno\nerror: the mapper failed: no";
+        assert_eq!(of(exit(1), said, "failed", 50), Class::Crashed);
+        assert_eq!(Class::of(exit(1), said, None), Class::Crashed);
+        assert_eq!(of(exit(1), "", "failed", 50), Class::Crashed);
+        assert_eq!(Class::of(exit(1), "error: no", None), Class::Failed);
         assert_eq!(Class::of(End::Signal(11), "", None), Class::Crashed);
         assert_eq!(Class::of(End::Signal(9), "", None), Class::Killed);
         assert_eq!(Class::of(End::TooLong, "", None), Class::Timeout);

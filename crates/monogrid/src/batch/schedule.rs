@@ -8,6 +8,7 @@
 use super::class::Class;
 use crate::usage::bytes_in;
 use std::collections::{BTreeMap, VecDeque};
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 
@@ -99,7 +100,13 @@ pub fn run(
     });
     let changed = Condvar::new();
     let carry_out = |index: usize, attempt: u32| {
-        let carried = work(index, attempt, &|bytes| lock(&queue).grown(index, bytes));
+        let work = || work(index, attempt, &|bytes| lock(&queue).grown(index, bytes));
+        let carried = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
+            // those that wait for its room would wait for ever
+            lock(&queue).is_stopped = true;
+            changed.notify_all();
+            resume_unwind(panic)
+        });
         lock(&queue).ended(index, carried);
         changed.notify_all();
     };
@@ -109,8 +116,10 @@ pub fn run(
         }
     };
     thread::scope(|scope| {
-        for _ in 0..limits.jobs.clamp(1, tasks.len().max(1)) {
-            scope.spawn(worker);
+        let jobs = 0..limits.jobs.clamp(1, tasks.len().max(1));
+        let workers: Vec<_> = jobs.map(|_| scope.spawn(worker)).collect();
+        for worker in workers {
+            worker.join().unwrap_or_else(|panic| resume_unwind(panic));
         }
     });
     let again = std::mem::take(&mut lock(&queue).again);
@@ -153,6 +162,7 @@ pub fn available_memory() -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use monogrid_pipeline::attempt;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     fn queue(tasks: &[Option<u64>]) -> Queue {
@@ -203,6 +213,21 @@ mod tests {
         assert_eq!(q.next(LIMITS), None);
         q.ended(2, done(0.5));
         assert_eq!(q.next(LIMITS), Some(1));
+    }
+
+    #[test]
+    fn a_worker_that_panics_ends_those_that_wait_for_its_room_and_the_batch() {
+        let tasks: Vec<(usize, Option<u64>)> = (0..20).map(|i| (i, Some(2 * GB))).collect();
+        let begun = AtomicUsize::new(0);
+        let failed = attempt(|| {
+            run(&tasks, LIMITS, &|index, _, _| {
+                begun.fetch_add(1, Ordering::Relaxed);
+                assert_ne!(index, 1, "the second");
+                done(2.0)
+            })
+        });
+        assert!(failed.unwrap_err().contains("the second"));
+        assert!(begun.into_inner() < 20);
     }
 
     #[test]
