@@ -2,7 +2,8 @@
 # The campaign against the program: mutated files of every kind, kills, full disks, odd names, extreme settings, each with a
 # limit of memory (2 GB) and time (60 s) per run. Prints the tables of BENCHMARKS.md.
 #
-#   scripts/torture.sh [MINUTES]      MINUTES for each kind of mutated file (default 5; 29 kinds)
+#   scripts/torture.sh [MINUTES]      MINUTES for each kind of mutated file (default 5; 38 kinds)
+#   TORTURE_ONLY=bag scripts/torture.sh 1     the kinds with this in their names
 #   scripts/torture.sh 1 soak         and the soaks of scripts/soak.sh, which take hours
 #
 # KILLS: runs that are killed (default 50). SEED: begins another sequence of mutations. KEEP: a folder for files that did harm

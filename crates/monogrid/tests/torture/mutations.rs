@@ -59,6 +59,38 @@ const KINDS: &[Kind] = &[
         repair_mgk,
     ),
     kind(
+        "submap .mgs",
+        "first.mgs",
+        "first.mgs",
+        &["map", "@", "--out", "!/m.ot"],
+        as_it_is,
+    ),
+    kind(
+        "submaps.json",
+        "run/submaps/submaps.json",
+        "submaps.json",
+        &["info", "@"],
+        as_it_is,
+    ),
+    kind(
+        "inertial readings",
+        "imu.csv",
+        "imu.csv",
+        &[
+            "run",
+            "%/video/few.txt",
+            "--calibration",
+            "%/video/calibration.txt",
+            "--imu",
+            "@",
+            "--imu-from-camera",
+            "%/identity.txt",
+            "--out",
+            "!/run",
+        ],
+        as_it_is,
+    ),
+    kind(
         "map .ot",
         "run/global.ot",
         "m.ot",
@@ -248,6 +280,12 @@ const MEDIA: &[(&str, &str, &str)] = &[
     ("video .y4m", "gray.y4m", "v.y4m"),
     ("archive .zip", "images.zip", "a.zip"),
     ("archive .tar", "images.tar", "a.tar"),
+    ("archive .tar.gz", "images.tar.gz", "a.tar.gz"),
+    ("bag .db3", "plain.db3", "b.db3"),
+    ("bag .mcap", "plain.mcap", "b.mcap"),
+    ("bag .mcap, zstd", "zstd.mcap", "b.mcap"),
+    ("bag .bag, lz4", "lz4.bag", "b.bag"),
+    ("bag .bag, bz2", "bz2.bag", "b.bag"),
 ];
 
 const MEDIA_ARGS: &[&str] = &[

@@ -19,7 +19,15 @@ impl Seeds {
         let (map, bt, mgo) = (at("run/global.ot"), at("map.bt"), at("map.mgo"));
         copy_of_small_sequence(Path::new(&video));
         for args in [
-            &["run", &video, "--out", &run_folder, "--threads", "2"][..],
+            &[
+                "run",
+                &video,
+                "--out",
+                &run_folder,
+                "--submaps=2",
+                "--threads",
+                "2",
+            ][..],
             &["convert", &map, &bt],
             &["convert", &map, &mgo],
             &["convert", &map, &at("cloud.ply")],
@@ -79,6 +87,22 @@ impl Seeds {
         }
         zip.finish().unwrap();
         tar.finish().unwrap();
+        let tar = fs::read(self.path("images.tar")).unwrap();
+        let packed = File::create(self.path("images.tar.gz")).unwrap();
+        let mut packed = flate2::write::GzEncoder::new(packed, flate2::Compression::fast());
+        packed.write_all(&tar).unwrap();
+        packed.finish().unwrap();
+    }
+
+    /// The first submap of the run, whose name is its content, under a name that is known.
+    fn name_a_submap(&self) {
+        let mut submaps: Vec<PathBuf> = fs::read_dir(self.path("run/submaps"))
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+            .filter(|path| path.extension().is_some_and(|ending| ending == "mgs"))
+            .collect();
+        submaps.sort();
+        fs::copy(&submaps[0], self.path("first.mgs")).unwrap();
     }
 
     fn write_others(&self) {
@@ -103,6 +127,13 @@ impl Seeds {
         for (name, text) in CALIBRATIONS {
             write(name, text.as_bytes());
         }
+        for name in ["plain.db3", "plain.mcap", "zstd.mcap", "lz4.bag", "bz2.bag"] {
+            let bags = Path::new(env!("CARGO_MANIFEST_DIR")).join("../monogrid-bags/tests/data");
+            fs::copy(bags.join(name), self.path(name)).unwrap();
+        }
+        write("imu.csv", imu().as_bytes());
+        write("identity.txt", b"0 0 0 0 0 0 1\n");
+        self.name_a_submap();
         self.write_archives();
         // lists of few frames, beside the images that they name
         let text = fs::read_to_string(self.path("video/rgb.txt")).unwrap();
@@ -145,6 +176,12 @@ const CALIBRATIONS: [(&str, &str); 5] = [
          cy = 120.0\ndistortion = [-0.1, 0.02, 0.0, 0.0]\n",
     ),
 ];
+
+/// Half a second of a sensor that lies still: ns, rad/s, m/s².
+fn imu() -> String {
+    let reading = |k: i64| format!("{},0.001,-0.002,0.0,0.0,0.0,9.81\n", k * 5_000_000);
+    (0..100).map(reading).collect()
+}
 
 /// Nine grey frames in which stripes move.
 fn y4m() -> Vec<u8> {
