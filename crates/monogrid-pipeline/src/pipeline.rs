@@ -357,16 +357,11 @@ impl Pipeline {
         Ok(())
     }
 
-    /// The thread that has panicked, if one has: nothing more comes of the run, which should be finished.
+    /// Whether the mapper or a listener has panicked: the run should be finished, which says why
+    /// ([`Finished::failure`]).
     #[must_use]
-    pub fn failed_thread(&self) -> Option<&'static str> {
-        let has_failed_listener = self.listeners.iter().any(Listening::has_failed);
-        let failed = [
-            ("mapper", self.mapper.has_failed()),
-            ("listener", has_failed_listener),
-        ];
-        let mut failed = failed.into_iter().filter(|(_, has_failed)| *has_failed);
-        failed.next().map(|(part, _)| part)
+    pub fn has_failed(&self) -> bool {
+        self.mapper.has_failed() || self.listeners.iter().any(Listening::has_failed)
     }
 
     /// Finishes the last keyframe and ends all threads.
@@ -375,20 +370,14 @@ impl Pipeline {
     /// What a listener gave up for, or that a thread has panicked; [`Self::finish_telling`] has what there is all the same. Maps
     /// that could not grow are said by [`Finished::maps`].
     pub fn finish(self) -> Result<Finished, PipelineError> {
-        let mut finished = self.finish_telling(&mut |_| ())?;
+        let mut finished = self.finish_telling(&mut |_| ());
         finished.failure.take().map_or(Ok(finished), Err)
     }
 
     /// The same; `released` hears of it when the last frame is processed, only what was found is still there, and images and depth of
     /// keyframes are not needed for a while ([`Slam::conclude`]): a good time to give memory back. What went wrong is
     /// [`Finished::failure`], beside all that was found until then.
-    ///
-    /// # Errors
-    /// A map that cannot be made anew after the mapper has panicked.
-    pub fn finish_telling(
-        mut self,
-        released: &mut dyn FnMut(&Slam),
-    ) -> Result<Finished, PipelineError> {
+    pub fn finish_telling(mut self, released: &mut dyn FnMut(&Slam)) -> Finished {
         let mut failure = attempt(|| self.conclude(released))
             .map_err(|message| PipelineError::Failed {
                 part: "tracking",
@@ -431,7 +420,7 @@ impl Pipeline {
         if failure.is_none() {
             slam.release();
         }
-        Ok(Finished {
+        Finished {
             map_size,
             trajectory: slam.trajectory(),
             poses: slam.snapshot(),
@@ -443,7 +432,7 @@ impl Pipeline {
             threads: self.threads,
             map_from_world: self.map_from_world,
             localise_only: self.localise_only,
-        })
+        }
     }
 
     /// Tracks what still waits, finishes the last keyframe and adjusts all of them.

@@ -93,7 +93,7 @@ impl<'a> Tracking<'a> {
             self.early_end = Some(EarlyEnd::Interrupted);
             return ControlFlow::Break(());
         }
-        if self.pipeline.failed_thread().is_some() {
+        if self.pipeline.has_failed() {
             // why is known when it is joined
             return ControlFlow::Break(());
         }
@@ -313,8 +313,7 @@ impl<'a> Tracking<'a> {
                 limit.squeeze(slam);
             }
         };
-        let run = self.pipeline.finish_telling(&mut released);
-        let mut run = run.map_err(Failure::running)?;
+        let mut run = self.pipeline.finish_telling(&mut released);
         let failed = run.failure.take().map(|failure| match failure {
             PipelineError::Listener(error) => render(&anyhow::Error::from_boxed(error)),
             error => error.to_string(),
