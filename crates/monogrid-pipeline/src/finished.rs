@@ -100,7 +100,6 @@ impl Finished {
         let Some(mut live) = live.filter(|_| !scans.is_empty()) else {
             return Ok(None);
         };
-        let cameras: Vec<_> = scans.iter().map(|scan| (scan.id, scan.camera)).collect();
         let mapper = match edge {
             Some(edge) => live.mapper().with_resolution(edge),
             None => live.mapper().clone(),
@@ -111,11 +110,6 @@ impl Finished {
             scans.into_iter().for_each(|scan| live.revise(scan));
         }
         let mut maps = live.finish(&self.poses, map_from_world, camera, self.threads, done)?;
-        let posed = cameras.iter().filter_map(|(id, camera)| {
-            let pose = self.poses.in_main_map(*id)?;
-            Some((*camera, *map_from_world * *pose))
-        });
-        mapper.forget_unseen(&mut maps.global, posed)?;
         let mut frames = earlier.to_vec();
         frames.extend(self.slam.tracked_frames());
         let paths = camera_paths(&frames, |id| self.poses.in_main_map(id), map_from_world);

@@ -416,11 +416,6 @@ const MAPPING: &[Limit<MappingConfig>] = limits! { mapping: MappingConfig,
         tolerance: 0.0001, 1.0;
         max_against: 0.0, 1000.0;
     }
-    mapping.unseen => {
-        max_behind: 0.0, 1000.0;
-        max_behind_share: 0.0, 1.0;
-        max_beside: 0.0, 100.0;
-    }
     mapping.upright => {
         roll_sigma_deg: 1.0, 180.0;
         pitch_deg: -90.0, 90.0;

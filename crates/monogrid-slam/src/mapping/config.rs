@@ -364,35 +364,10 @@ pub struct MappingConfig {
     pub straighten: StraightenConfig,
     /// Depth at the rims of what is nearer.
     pub rims: RimConfig,
-    /// Cells that no keyframe can see.
-    pub unseen: UnseenConfig,
     /// Up and the floor.
     pub upright: UprightConfig,
     /// The surface as triangles.
     pub mesh: MeshConfig,
-}
-
-/// Occupied cells of final maps that keyframes have in their images and none can see are unknown again: depth that is too far puts surfaces
-/// behind others.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct UnseenConfig {
-    /// A cell is seen past an occupied one at most this many cells before it; 0: all cells stay. Default 5. Range [0, 1000].
-    pub max_behind: f64,
-    /// Or at most this share of the range before it, where that is more. Default 0.03. Range [0, 1].
-    pub max_behind_share: f64,
-    /// So is a cell this many cells, along an axis, beside a free one that is seen past no occupied cell. Default 6. Range [0, 100].
-    pub max_beside: u32,
-}
-
-impl Default for UnseenConfig {
-    fn default() -> Self {
-        Self {
-            max_behind: 5.0,
-            max_behind_share: 0.03,
-            max_beside: 6,
-        }
-    }
 }
 
 /// The surface between occupied and free cells as a mesh.
@@ -454,7 +429,6 @@ impl Default for MappingConfig {
             envelope: EnvelopeConfig::default(),
             straighten: StraightenConfig::default(),
             rims: RimConfig::default(),
-            unseen: UnseenConfig::default(),
             upright: UprightConfig::default(),
             mesh: MeshConfig::default(),
         }
@@ -519,10 +493,6 @@ impl MappingConfig {
             rims: RimConfig {
                 relative_sigma: 0.0,
                 ..RimConfig::default()
-            },
-            unseen: UnseenConfig {
-                max_behind: 0.0,
-                ..UnseenConfig::default()
             },
             ..Self::default()
         }

@@ -13,8 +13,7 @@
 //! the graph: keyframes of which some measurement moved by at least `follow_threshold` cells, or that got other depth, are moved in a second
 //! map, one per step, which takes the place of the first when all are done. As long as there are no readers nothing is integrated. At the end all that
 //! is pending is done on all threads, with depth refined, or made dense, at the final poses ([`final_scans`]); the final maps do
-//! not depend on how far the live ones had come. Where no keyframe can see it, what *global* has for occupied is unknown again
-//! ([`Mapper::forget_unseen`]).
+//! not depend on how far the live ones had come.
 //!
 //! Maps are z up ([`z_up_from_camera_world`]) unless the caller gives another frame, such as that in which the scene is
 //! level ([`upright()`]).
@@ -47,7 +46,7 @@ pub use cell::{CellReason, SceneCell, scene_cell};
 pub use completion::CompletionConfig;
 pub use config::{
     AutoLength, DenseMappingConfig, DepthFilterConfig, FillConfig, FusionConfig, MapQuality,
-    MappingConfig, MeshConfig, RefineConfig, SensorModelKind, UnseenConfig,
+    MappingConfig, MeshConfig, RefineConfig, SensorModelKind,
 };
 pub use envelope::{EnvelopeConfig, StraightenConfig};
 pub use fill::fill_plain_regions;
