@@ -393,11 +393,6 @@ const MAPPING: &[Limit<MappingConfig>] = limits! { mapping: MappingConfig,
         max_deviations: 0.0, 100.0;
         min_concentration: 0.0, 1.0;
     }
-    mapping.rims => {
-        relative_sigma: 0.0, 1.0;
-        width: 0.0, 100.0;
-        min_step: 0.001, 0.999;
-    }
     mapping.fill => {
         max_gradient: 0.01, 255.0;
         min_area_px: 1.0, 1_000_000_000.0;

@@ -15,7 +15,7 @@ const CONFIG_MARKER: &str = "# effective configuration of a monogrid run";
 
 /// Settings and sections that earlier versions had: what they did brought nothing on recordings that had no part in choosing it
 /// (docs/studies.md, *Fewer stages*). Recordings may still name them; a file or `--set` must not.
-const GONE: [&str; 1] = ["mapping.unseen"];
+const GONE: [&str; 2] = ["mapping.rims", "mapping.unseen"];
 
 /// Everything that decides the result of a run, besides its input.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

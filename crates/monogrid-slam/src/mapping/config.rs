@@ -1,6 +1,6 @@
 //! Settings of mapping, as they stand in the section `[mapping]` of a configuration file.
 
-use super::{CompletionConfig, EnvelopeConfig, RimConfig, StraightenConfig, UprightConfig};
+use super::{CompletionConfig, EnvelopeConfig, StraightenConfig, UprightConfig};
 use crate::ConfigError;
 use monogrid_depth::{DenseConfig, MultiViewConfig};
 use monogrid_occupancy::{
@@ -362,8 +362,6 @@ pub struct MappingConfig {
     pub envelope: EnvelopeConfig,
     /// Depth on large planes.
     pub straighten: StraightenConfig,
-    /// Depth at the rims of what is nearer.
-    pub rims: RimConfig,
     /// Up and the floor.
     pub upright: UprightConfig,
     /// The surface as triangles.
@@ -428,7 +426,6 @@ impl Default for MappingConfig {
             fill: FillConfig::default(),
             envelope: EnvelopeConfig::default(),
             straighten: StraightenConfig::default(),
-            rims: RimConfig::default(),
             upright: UprightConfig::default(),
             mesh: MeshConfig::default(),
         }
@@ -489,10 +486,6 @@ impl MappingConfig {
             straighten: StraightenConfig {
                 relative_sigma: 0.0,
                 ..StraightenConfig::default()
-            },
-            rims: RimConfig {
-                relative_sigma: 0.0,
-                ..RimConfig::default()
             },
             ..Self::default()
         }

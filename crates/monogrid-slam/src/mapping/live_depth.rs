@@ -268,7 +268,7 @@ impl LiveDepth {
         });
         let (id, store) = (work.keyframe.id, work.keyframe.pixels.store());
         let depths = depths.unwrap_or_default();
-        depths.joined(id, &self.camera, &self.config.rims, store)
+        depths.joined(id, &self.camera, store)
     }
 
     /// What keyframes have at a stage, by their index, of those around one.

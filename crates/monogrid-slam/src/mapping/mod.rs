@@ -33,7 +33,6 @@ mod live_depth;
 mod maps;
 mod posed;
 mod refine;
-mod rims;
 mod scan;
 #[cfg(test)]
 mod test_wall;
@@ -57,7 +56,6 @@ pub use monogrid_occupancy::{AndertForm, IntegrationRule, SigmaMode, ThrunForm};
 pub use posed::{DepthOf, ImageOf, PosedKeyframe};
 pub(crate) use refine::final_scans_of;
 pub use refine::{final_scans, refined_depths};
-pub use rims::RimConfig;
 pub use scan::{KeyframeCamera, KeyframeScan};
 pub use upright::{
     Floor, Upright, UprightConfig, UprightView, floor_below, level_from_world, upright,

@@ -4,7 +4,7 @@
 //! precise enough, and plain surfaces between it (`scan`, `fill`) → filled depth that others contradict taken out (`agreement`) →
 //! uncertainty as the agreement of keyframes has it (`certainty`) → one depth from all that see the same (`fusion`) → depth where a keyframe
 //! has none from those that see the same (`completion`) → walls, floor and ceiling beyond what was measured of them, and what lies on them
-//! put on them (`envelope`) → less certain beside what is farther (`rims`).
+//! put on them (`envelope`).
 
 use super::agreement::{Blocks, View, kept};
 use super::certainty::Certainty;
@@ -77,9 +77,8 @@ pub(crate) fn final_scans_of(
         views: &views(&found),
         ..scene
     });
-    let hand_over = |depths: Depths, index: usize| {
-        depths.joined(keyframes[index].id, camera, &config.rims, store)
-    };
+    let hand_over =
+        |depths: Depths, index: usize| depths.joined(keyframes[index].id, camera, store);
     if !is_dense {
         return each(&scene, found, |this, scene, index| {
             hand_over(this.certain(scene, index, certainty), index)
