@@ -407,9 +407,6 @@ const MAPPING: &[Limit<MappingConfig>] = limits! { mapping: MappingConfig,
         front_weight: 0.001, 1.0;
         correlated_points: 1.0, 1_000_000.0;
         max_stated_sigma: 0.000001, f64::INFINITY;
-        max_witnesses: 0.0, 1000.0;
-        tolerance: 0.0001, 1.0;
-        max_against: 0.0, 1000.0;
     }
     mapping.upright => {
         roll_sigma_deg: 1.0, 180.0;

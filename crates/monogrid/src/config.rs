@@ -15,7 +15,13 @@ const CONFIG_MARKER: &str = "# effective configuration of a monogrid run";
 
 /// Settings and sections that earlier versions had: what they did brought nothing on recordings that had no part in choosing it
 /// (docs/studies.md, *Fewer stages*). Recordings may still name them; a file or `--set` must not.
-const GONE: [&str; 2] = ["mapping.rims", "mapping.unseen"];
+const GONE: [&str; 5] = [
+    "mapping.fill.max_against",
+    "mapping.fill.max_witnesses",
+    "mapping.fill.tolerance",
+    "mapping.rims",
+    "mapping.unseen",
+];
 
 /// Everything that decides the result of a run, besides its input.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -478,7 +484,9 @@ mod tests {
             let (section, key) = name.rsplit_once('.').unwrap();
             let text = format!("profile = \"thesis\"\n[mapping]\nmax_range = 4.0\n[{section}]\n");
             let text = match section {
-                "mapping" => format!("profile = \"thesis\"\n[mapping]\nmax_range = 4.0\n[{name}]\nx = 1\n"),
+                "mapping" => {
+                    format!("profile = \"thesis\"\n[mapping]\nmax_range = 4.0\n[{name}]\nx = 1\n")
+                }
                 _ => format!("{text}{key} = 1\n"),
             };
             std::fs::write(&path, &text).unwrap();

@@ -231,13 +231,6 @@ pub struct FillConfig {
     /// two or three times smaller. Default 0.08: with 0.035, walls with few points on them were left open (icl-office-kt3 had 4 % less
     /// of its surfaces). Range [0.000001, inf].
     pub max_stated_sigma: f64,
-    /// Other keyframes that are asked whether filled depth can be; 0 asks none. Default 24. Range [0, 1000].
-    pub max_witnesses: usize,
-    /// Depths that differ by this share of them are of two surfaces. Default 0.03. Range [0.0001, 1].
-    pub tolerance: f64,
-    /// Votes against filled depth for each that agrees, at most; measured depth has one vote, filled half of one.
-    /// Default 0.25. Range [0, 1000].
-    pub max_against: f32,
 }
 
 impl Default for FillConfig {
@@ -257,9 +250,6 @@ impl Default for FillConfig {
             front_weight: 0.25,
             correlated_points: 100.0,
             max_stated_sigma: 0.08,
-            max_witnesses: 24,
-            tolerance: 0.03,
-            max_against: 0.25,
         }
     }
 }
@@ -513,7 +503,6 @@ impl MappingConfig {
         let witnesses = [
             (&mut best.fusion.max_witnesses, 32),
             (&mut best.completion.max_witnesses, 32),
-            (&mut best.fill.max_witnesses, 48),
         ];
         for (count, least) in witnesses.into_iter().filter(|(count, _)| **count > 0) {
             raise(count, least);
@@ -610,7 +599,6 @@ mod tests {
         assert_eq!((stereo.max_planes, stereo.step_px), (160, 0.5));
         assert_eq!((best.dense.max_sources, best.dense.max_witnesses), (9, 16));
         assert!(best.fusion.max_witnesses == 0 && best.completion.max_witnesses == 32);
-        assert_eq!(best.fill.max_witnesses, 48);
         assert!(!best.refine.stereo.interpolate && best.refine.stereo.max_sources == 8);
         assert_eq!(best.refine.max_keyframes, 16);
         let back = MappingConfig {
@@ -618,7 +606,6 @@ mod tests {
             refine: config.refine.clone(),
             fusion: config.fusion,
             completion: config.completion.clone(),
-            fill: config.fill.clone(),
             ..best.clone().into_owned()
         };
         assert_eq!(back, config);

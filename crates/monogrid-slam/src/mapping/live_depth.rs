@@ -1,17 +1,17 @@
 //! Better depth of keyframes while a run goes on.
 //!
 //! The same steps as for the final maps (module `refine`), one keyframe and one step at a time: dense depth by the images of its
-//! neighbours → what of it they confirm → filled depth that they do not contradict → one depth from all that see the same → depth where it has
+//! neighbours → what of it they confirm → one depth from all that see the same → depth where it has
 //! none from these → walls, floor and ceiling beyond what was measured of them. A keyframe takes a step when the [`AHEAD`] keyframes after
-//! it are as far, so that neighbours on both sides have their say, and its depth is ready when six more are finished. Who has no time for all of them leaves out some: keyframes are taken in their order, and where more than
+//! it are as far, so that neighbours on both sides have their say, and its depth is ready when five more are finished. Who has no time for all of them leaves out some: keyframes are taken in their order, and where more than
 //! [`MAX_BEHIND`] wait, the newest are, the others when there is nothing else to do.
 
-use super::agreement::View;
 use super::certainty::Certainty;
 use super::dense::{agreed, neighbours, stereo};
 use super::envelope::Cloud;
 use super::posed::{PosedKeyframe, Scene};
 use super::refine::Found;
+use super::view::View;
 use super::{KeyframeCamera, KeyframeScan, MappingConfig};
 use crate::store::Kept;
 use crate::{KeptKeyframe, KeyframeId, PoseSnapshot};
@@ -36,8 +36,6 @@ enum Stage {
     Matched,
     /// What these confirm was merged with its own depth, refined and filled.
     Found,
-    /// Without filled depth that they contradict.
-    Checked,
     /// As certain as they agree, and fused with theirs.
     Agreed,
     /// With depth that they have and it has not.
@@ -53,7 +51,7 @@ struct Work {
     stage: Stage,
     /// Its dense depth, as it was matched.
     dense: Option<Kept<DenseDepth>>,
-    /// When it is `Found`, and when it is `Checked`.
+    /// What was found by each later stage.
     found: Option<Found>,
     agreed: Option<Found>,
     completed: Option<(Found, Cloud)>,
@@ -138,8 +136,7 @@ impl LiveDepth {
         let stage = match self.work[index].stage {
             Stage::Waiting => self.match_images(index, poses),
             Stage::Matched => self.find(index, poses),
-            Stage::Found => self.check(index, poses),
-            Stage::Checked => self.agree(index, poses),
+            Stage::Found => self.agree(index, poses),
             Stage::Agreed => self.complete(index, poses),
             Stage::Completed | Stage::Ready => {
                 self.work[index].stage = Stage::Ready;
@@ -217,18 +214,6 @@ impl LiveDepth {
         });
         self.work[index].found = Some(found);
         Stage::Found
-    }
-
-    /// Leaves out filled depth that others contradict.
-    fn check(&mut self, index: usize, poses: &PoseSnapshot) -> Stage {
-        if let Some(found) = &self.work[index].found {
-            let views = self.views(MAX_HELD, index, |work| work.found.as_ref());
-            let checked = self.scene(poses, &views, |scene| {
-                found.without_contradicted(scene, index)
-            });
-            self.work[index].found = Some(checked);
-        }
-        Stage::Checked
     }
 
     /// Makes its depth as certain as others agree, and fuses it with theirs.
@@ -394,18 +379,18 @@ mod tests {
     }
 
     #[test]
-    fn a_keyframe_is_ready_when_six_more_are_finished_with_depth_as_good_as_that_of_final_maps() {
+    fn a_keyframe_is_ready_when_five_more_are_finished_with_depth_as_good_as_that_of_final_maps() {
         let (count, snapshot) = (11, poses(11));
         let mut live = live();
         let mut ready = Vec::new();
         for id in 0..count {
             live.add(keyframe(id).into());
             let scans = rest(&mut live, &snapshot);
-            let expected: Vec<KeyframeId> = id.checked_sub(6).into_iter().collect();
+            let expected: Vec<KeyframeId> = id.checked_sub(5).into_iter().collect();
             assert_eq!(ids(&scans), expected);
             ready.extend(scans);
         }
-        assert!(live.has_handed_over(4) && !live.has_handed_over(5));
+        assert!(live.has_handed_over(5) && !live.has_handed_over(6));
         let keyframes: Vec<Keyframe> = (0..count).map(keyframe).collect();
         let posed: Vec<PosedKeyframe> = keyframes
             .iter()
@@ -421,7 +406,7 @@ mod tests {
         // the first one has neighbours on one side, of which too few confirm it
         for scan in &ready[1..] {
             // the newest are seen from one side only when they take their steps
-            let share = if scan.id < 4 { 0.95 } else { 0.8 };
+            let share = if scan.id < 5 { 0.95 } else { 0.8 };
             let all = last[scan.id as usize].num_pixels as f64;
             assert!(scan.num_pixels as f64 > share * all, "{}", scan.id);
             // what a single neighbour confirms, until the others are there, is now and then wrong
@@ -442,20 +427,20 @@ mod tests {
         assert_eq!(next(&[(0..2, Stage::Matched)]), Some(0));
         let two = [(0..1, Stage::Found), (1..3, Stage::Matched)];
         assert_eq!(next(&two), Some(1));
-        let three = [(4..5, Stage::Checked), (5..9, Stage::Matched)];
+        let three = [(4..5, Stage::Agreed), (5..9, Stage::Matched)];
         assert_eq!(next(&three), Some(5));
-        let four = [(4..6, Stage::Checked), (6..9, Stage::Found)];
+        let four = [(4..6, Stage::Agreed), (6..9, Stage::Found)];
         assert_eq!(next(&four), Some(4));
         let last_steps = [
             (0..1, Stage::Completed),
             (1..4, Stage::Agreed),
-            (4..9, Stage::Checked),
+            (4..9, Stage::Found),
         ];
         assert_eq!(next(&last_steps), Some(1));
         let last_step = [
             (0..2, Stage::Completed),
             (2..4, Stage::Agreed),
-            (4..9, Stage::Checked),
+            (4..9, Stage::Found),
         ];
         assert_eq!(next(&last_step), Some(0));
         assert_eq!(next(&[(0..9, Stage::Ready)]), None);

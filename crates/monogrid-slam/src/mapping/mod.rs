@@ -18,7 +18,6 @@
 //! Maps are z up ([`z_up_from_camera_world`]) unless the caller gives another frame, such as that in which the scene is
 //! level ([`upright()`]).
 
-mod agreement;
 mod band;
 mod body;
 mod cell;
@@ -38,6 +37,7 @@ mod scan;
 mod test_wall;
 mod transfer;
 mod upright;
+mod view;
 
 pub use band::navigation_band;
 pub use body::camera_paths;

@@ -1,6 +1,6 @@
 //! Keyframes at their final poses, in memory or where there is room.
 
-use super::agreement::View;
+use super::view::View;
 use super::{KeyframeCamera, MappingConfig};
 use crate::{DepthPixel, KeptKeyframe, KeyframeId, PoseSnapshot};
 use monogrid_geometry::Sim3;

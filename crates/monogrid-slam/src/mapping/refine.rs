@@ -1,12 +1,10 @@
 //! Better depth of all keyframes, when the poses are known in the end.
 //!
 //! In this order: dense depth beside that of the filter (`dense`) → both made better by the images around (`refine_depth`) → what is
-//! precise enough, and plain surfaces between it (`scan`, `fill`) → filled depth that others contradict taken out (`agreement`) →
-//! uncertainty as the agreement of keyframes has it (`certainty`) → one depth from all that see the same (`fusion`) → depth where a keyframe
+//! precise enough, and plain surfaces between it (`scan`, `fill`) → uncertainty as the agreement of keyframes has it (`certainty`) → one depth from all that see the same (`fusion`) → depth where a keyframe
 //! has none from those that see the same (`completion`) → walls, floor and ceiling beyond what was measured of them, and what lies on them
 //! put on them (`envelope`).
 
-use super::agreement::{Blocks, View, kept};
 use super::certainty::Certainty;
 use super::completion::completed;
 use super::dense::{dense_depths, merged};
@@ -14,6 +12,7 @@ use super::envelope::{Cloud, Surroundings, enclosed, straightened};
 use super::fusion::fused;
 use super::posed::{Neighbour, PosedKeyframe, Scene};
 use super::scan::{Depths, KeptDepths};
+use super::view::{View, probes};
 use super::{KeyframeCamera, KeyframeScan, MappingConfig, RefineConfig};
 use crate::DepthPixel;
 use crate::fault;
@@ -30,7 +29,7 @@ use std::thread;
 
 /// What of each keyframe is mapped: its depth, with dense depth ([`monogrid_depth::dense_depth`]) and made better by the images of the
 /// keyframes around it ([`monogrid_depth::refine_depth`]) if the settings ask for it, filtered and filled as
-/// [`KeyframeScan::new`] does, without filled depth that other keyframes contradict (module `agreement`).
+/// [`KeyframeScan::new`] does.
 ///
 /// The result does not depend on the number of threads.
 #[must_use]
@@ -72,7 +71,6 @@ pub(crate) fn final_scans_of(
         done.fetch_add(1, Ordering::Relaxed);
         found
     });
-    let found = each(&scene, found, Found::without_contradicted);
     let certainty = Certainty::of_scene(&Scene {
         views: &views(&found),
         ..scene
@@ -155,32 +153,17 @@ impl Found {
         camera: &KeyframeCamera,
         store: &Store,
     ) -> Self {
-        let blocks = || Arc::new(Blocks::new(&depths, camera));
-        let known = known.map(|(pose, misfits)| (pose, misfits, blocks()));
+        let probes = probes(&depths, camera);
         let depths = KeptDepths::new(store, depths);
         Self {
-            view: known.map(|(world_from_keyframe, misfits, blocks)| View {
+            view: known.map(|(world_from_keyframe, misfits)| View {
                 depths: depths.clone(),
-                blocks,
+                probes,
                 world_from_keyframe,
                 misfits,
             }),
             depths,
         }
-    }
-
-    /// Without filled depth that others contradict.
-    pub fn without_contradicted(&self, scene: &Scene, index: usize) -> Self {
-        if scene.config.fill.max_witnesses == 0 {
-            return self.clone();
-        }
-        let mut depths = self.depths.depths();
-        if let Some(kept) = kept(scene, index) {
-            let mut kept = kept.into_iter();
-            depths.filled.retain(|_| kept.next().unwrap_or(true));
-            depths.filled.shrink_to_fit();
-        }
-        self.with_depths(depths, scene.camera)
     }
 
     /// With other depths.

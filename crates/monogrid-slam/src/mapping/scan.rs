@@ -214,12 +214,7 @@ impl Depths {
     }
 
     /// Both together as they are mapped.
-    pub fn joined(
-        self,
-        id: KeyframeId,
-        camera: &KeyframeCamera,
-        store: &Store,
-    ) -> KeyframeScan {
+    pub fn joined(self, id: KeyframeId, camera: &KeyframeCamera, store: &Store) -> KeyframeScan {
         let num_filled = self.filled.len();
         let mut pixels = self.measured;
         pixels.reserve_exact(num_filled);

@@ -2,9 +2,9 @@
 
 use super::EnvelopeConfig;
 use super::extent::Extent;
-use crate::mapping::agreement::View;
 use crate::mapping::fill::{Plane, planes_of_image};
 use crate::mapping::posed::Scene;
+use crate::mapping::view::View;
 use crate::mapping::{KeyframeCamera, MappingConfig};
 use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 use monogrid_occupancy::DepthPixel as Measurement;

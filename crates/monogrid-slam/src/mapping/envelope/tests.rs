@@ -1,9 +1,9 @@
 //! The corner of a room.
 
 use super::*;
-use crate::mapping::agreement::View;
 use crate::mapping::scan::Depths;
 use crate::mapping::test_wall::CAMERA;
+use crate::mapping::view::View;
 use crate::mapping::{DepthOf, ImageOf, PosedKeyframe};
 use monogrid_geometry::{Rng, Rotation, Sim3, Vec3};
 use monogrid_image::Image;

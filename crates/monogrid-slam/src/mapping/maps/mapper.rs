@@ -4,8 +4,8 @@ use super::super::{AutoLength, KeyframeCamera, KeyframeScan, MappingConfig, Sens
 use monogrid_geometry::nalgebra::{Matrix3, Rotation3};
 use monogrid_geometry::{Rotation, Sim3, Vec3};
 use monogrid_occupancy::{
-    DepthPixel as Measurement, DepthScan, IntegrationConfig, MapError, OccupancyMap,
-    PointScan, PoseSigma, Scan, ScanData, Similarity, integrate, integrate_scans,
+    DepthPixel as Measurement, DepthScan, IntegrationConfig, MapError, OccupancyMap, PointScan,
+    PoseSigma, Scan, ScanData, Similarity, integrate, integrate_scans,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
 
