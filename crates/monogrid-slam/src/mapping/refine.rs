@@ -21,11 +21,10 @@ use crate::store::{Kept, Store};
 use monogrid_depth::{DenseDepth, PixelDepth, SourceView, epipolar_misfits, refine_depth};
 use monogrid_geometry::Sim3;
 use monogrid_image::Image;
+use rayon::prelude::*;
 use std::borrow::Cow;
-use std::panic::resume_unwind;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::thread;
 
 /// What of each keyframe is mapped: its depth, with dense depth ([`monogrid_depth::dense_depth`]) and made better by the images of the
 /// keyframes around it ([`monogrid_depth::refine_depth`]) if the settings ask for it, filtered and filled as
@@ -248,40 +247,23 @@ pub fn refined_depths(
     })
 }
 
-/// Results of independent work in their order, on several threads: each takes the next that nobody has begun. A panic
-/// of one of them goes on in the caller.
+/// Results of independent work in their order, on the threads of the pool if on several: each takes the next that nobody has
+/// begun, so that those under way are neighbours, which share what is in memory.
 pub(super) fn for_each_keyframe<T: Send>(
     count: usize,
     threads: usize,
     work: impl Fn(usize) -> T + Sync,
 ) -> Vec<T> {
-    let next = AtomicUsize::new(0);
-    let results: Vec<Mutex<Option<T>>> = (0..count).map(|_| Mutex::default()).collect();
-    let of_thread = || {
-        let begun = std::iter::repeat_with(|| next.fetch_add(1, Ordering::Relaxed));
-        for index in begun.take_while(|index| *index < count) {
-            fault::pass("depth");
-            let result = work(index);
-            *results[index]
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner) = Some(result);
-        }
+    let result = |index| {
+        fault::pass("depth");
+        (index, work(index))
     };
-    thread::scope(|scope| {
-        let others = (1..threads.min(count)).map(|_| scope.spawn(of_thread));
-        let others: Vec<_> = others.collect();
-        of_thread();
-        for other in others {
-            if let Err(panic) = other.join() {
-                resume_unwind(panic);
-            }
-        }
-    });
-    // all of them are there: no thread has failed
-    let results = results.into_iter();
-    results
-        .filter_map(|result| result.into_inner().unwrap_or_else(PoisonError::into_inner))
-        .collect()
+    let mut results: Vec<(usize, T)> = match threads {
+        0 | 1 => (0..count).map(result).collect(),
+        _ => (0..count).par_bridge().map(result).collect(),
+    };
+    results.sort_unstable_by_key(|(index, _)| *index);
+    results.into_iter().map(|(_, result)| result).collect()
 }
 
 /// Depths of one keyframe, refined by the others; as they were without an image.
