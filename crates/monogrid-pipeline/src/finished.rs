@@ -87,7 +87,7 @@ impl Finished {
     /// the edge of the settings, or `edge`. `done` grows with every keyframe that is put in its place, for those who wait.
     ///
     /// # Errors
-    /// A map that would exceed its memory.
+    /// A map that would exceed its memory, or depth that cannot be read back from the file of [`Slam::spill_into`].
     pub fn maps_of(
         &mut self,
         scans: Vec<KeyframeScan>,
@@ -110,6 +110,7 @@ impl Finished {
             scans.into_iter().for_each(|scan| live.revise(scan));
         }
         let mut maps = live.finish(&self.poses, map_from_world, camera, self.threads, done)?;
+        self.slam.check_spilled()?;
         let mut frames = earlier.to_vec();
         frames.extend(self.slam.tracked_frames());
         let paths = camera_paths(&frames, |id| self.poses.in_main_map(id), map_from_world);

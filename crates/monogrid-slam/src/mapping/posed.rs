@@ -75,7 +75,7 @@ pub enum DepthOf<'a> {
 }
 
 impl<'a> DepthOf<'a> {
-    /// The depth; none where it cannot be read back.
+    /// The depth; none where it cannot be read back, which is an error in the end ([`crate::Slam::check_spilled`]).
     #[must_use]
     pub fn get(self) -> Cow<'a, [DepthPixel]> {
         match self {
