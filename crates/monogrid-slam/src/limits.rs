@@ -379,19 +379,10 @@ const MAPPING: &[Limit<MappingConfig>] = limits! { mapping: MappingConfig,
         max_against: 0.0, 1000.0;
         max_difference: 0.0, 1000.0;
     }
-    mapping.envelope => {
-        max_planes: 0.0, 1000.0;
-        min_share: 0.0001, 1.0;
-        reach: 0.0001, 1.0;
-        max_behind_share: 0.0, 1.0;
-        min_plain_share: 0.001, 1.0;
-        min_other_share: 0.001, 1.0;
-        max_extent: 0.0, 100.0;
-    }
-    mapping.straighten => {
+    mapping.planes => {
+        max_count: 0.0, 1000.0;
         relative_sigma: 0.0, 1.0;
-        max_deviations: 0.0, 100.0;
-        min_concentration: 0.0, 1.0;
+        max_extent: 0.0, 100.0;
     }
     mapping.fill => {
         max_gradient: 0.01, 255.0;

@@ -13,13 +13,16 @@ use toml::{Table, Value};
 /// First line of every `config.toml` that we write.
 const CONFIG_MARKER: &str = "# effective configuration of a monogrid run";
 
-/// Settings and sections that earlier versions had: what they did brought nothing on recordings that had no part in choosing it
-/// (docs/studies.md, *Fewer stages*). Recordings may still name them; a file or `--set` must not.
-const GONE: [&str; 5] = [
+/// Settings and sections that earlier versions had: what they did brought nothing on recordings
+/// that had no part in choosing it (docs/studies.md, *Fewer stages*), or is in `mapping.planes`
+/// now. Recordings may still name them; a file or `--set` must not.
+const GONE: [&str; 7] = [
+    "mapping.envelope",
     "mapping.fill.max_against",
     "mapping.fill.max_witnesses",
     "mapping.fill.tolerance",
     "mapping.rims",
+    "mapping.straighten",
     "mapping.unseen",
 ];
 
@@ -278,6 +281,12 @@ fn merge(base: &mut Table, over: Table) {
     }
 }
 
+/// Whether a key is a setting, or of a section, of this name.
+fn is_part_of(key: &str, name: &str) -> bool {
+    let rest = key.strip_prefix(name);
+    rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+}
+
 /// `a.b.c=value`; the value is TOML, or a string when it is not.
 fn apply_setting(table: &mut Table, setting: &str) -> Result<(), Failure> {
     let Some((key, text)) = setting.split_once('=') else {
@@ -289,11 +298,7 @@ fn apply_setting(table: &mut Table, setting: &str) -> Result<(), Failure> {
             "--set {setting}: a profile is all settings at once; choose it with --profile NAME, or with `profile = \"NAME\"` in a file"
         )));
     }
-    let is_of = |name: &str| {
-        let rest = key.trim().strip_prefix(name);
-        rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
-    };
-    if let Some(gone) = GONE.into_iter().find(|name| is_of(name)) {
+    if let Some(gone) = GONE.iter().find(|name| is_part_of(key.trim(), name)) {
         let said = format!("--set {setting}: {gone} does not exist any more; leave it out");
         return Err(Failure::input(said));
     }

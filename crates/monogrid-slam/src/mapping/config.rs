@@ -1,6 +1,6 @@
 //! Settings of mapping, as they stand in the section `[mapping]` of a configuration file.
 
-use super::{CompletionConfig, EnvelopeConfig, StraightenConfig, UprightConfig};
+use super::{CompletionConfig, PlanesConfig, UprightConfig};
 use crate::ConfigError;
 use monogrid_depth::{DenseConfig, MultiViewConfig};
 use monogrid_occupancy::{
@@ -29,8 +29,8 @@ pub enum SensorModelKind {
 pub enum MapQuality {
     /// The depth of the filter, refined.
     Fast,
-    /// And dense depth, depth from other keyframes, and large planes beyond what was measured: more of the surfaces and of the free space, for four
-    /// times the work.
+    /// And dense depth, depth from other keyframes, and large planes beyond what was measured: more
+    /// of the surfaces and of the free space, for four times the work.
     #[serde(alias = "dense")]
     Default,
     /// The same with finer planes and more keyframes beside each ([`MappingConfig::at_its_quality`]): still more of the surfaces, for twice the
@@ -260,9 +260,10 @@ impl Default for FillConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MappingConfig {
-    /// How much is done for the depth of final maps: `fast` refines the depth of the filter, `default` makes depth of all pixels
-    /// beside it and completes it (`dense`, `completion`, `envelope`), for four times the work; `best` does so with at least 160 planes half a
-    /// pixel apart, 6 sources and twice the witnesses, for eight times. Default `default`.
+    /// How much is done for the depth of final maps: `fast` refines the depth of the filter, `default`
+    /// makes depth of all pixels beside it and completes it (`dense`, `completion`, `planes`), for four
+    /// times the work; `best` does so with at least 160 planes half a pixel apart, 6 sources and twice
+    /// the witnesses, for eight times. Default `default`.
     pub quality: MapQuality,
     /// Edge of a cell. Default 0.05. Range [0.000001, 1000000].
     pub resolution: f64,
@@ -348,10 +349,8 @@ pub struct MappingConfig {
     pub completion: CompletionConfig,
     /// Depth of plain surfaces.
     pub fill: FillConfig,
-    /// Walls, floor and ceiling beyond what was measured.
-    pub envelope: EnvelopeConfig,
-    /// Depth on large planes.
-    pub straighten: StraightenConfig,
+    /// Depth on large planes, and these planes beyond what was measured of them.
+    pub planes: PlanesConfig,
     /// Up and the floor.
     pub upright: UprightConfig,
     /// The surface as triangles.
@@ -414,8 +413,7 @@ impl Default for MappingConfig {
             fusion: FusionConfig::default(),
             completion: CompletionConfig::default(),
             fill: FillConfig::default(),
-            envelope: EnvelopeConfig::default(),
-            straighten: StraightenConfig::default(),
+            planes: PlanesConfig::default(),
             upright: UprightConfig::default(),
             mesh: MeshConfig::default(),
         }
@@ -469,13 +467,9 @@ impl MappingConfig {
                 enabled: false,
                 ..FillConfig::default()
             },
-            envelope: EnvelopeConfig {
-                max_planes: 0,
-                ..EnvelopeConfig::default()
-            },
-            straighten: StraightenConfig {
-                relative_sigma: 0.0,
-                ..StraightenConfig::default()
+            planes: PlanesConfig {
+                max_count: 0,
+                ..PlanesConfig::default()
             },
             ..Self::default()
         }
@@ -501,11 +495,11 @@ impl MappingConfig {
         best.refine.stereo.interpolate = false;
         // 0 is without them
         let witnesses = [
-            (&mut best.fusion.max_witnesses, 32),
-            (&mut best.completion.max_witnesses, 32),
+            &mut best.fusion.max_witnesses,
+            &mut best.completion.max_witnesses,
         ];
-        for (count, least) in witnesses.into_iter().filter(|(count, _)| **count > 0) {
-            raise(count, least);
+        for count in witnesses.into_iter().filter(|count| **count > 0) {
+            raise(count, 32);
         }
         Cow::Owned(best)
     }

@@ -1,16 +1,16 @@
 //! Better depth of keyframes while a run goes on.
 //!
-//! The same steps as for the final maps (module `refine`), one keyframe and one step at a time: dense depth by the images of its
-//! neighbours → what of it they confirm → one depth from all that see the same → depth where it has
-//! none from these → walls, floor and ceiling beyond what was measured of them. A keyframe takes a step when the [`AHEAD`] keyframes after
-//! it are as far, so that neighbours on both sides have their say, and its depth is ready when five more are finished. Who has no time for all of them leaves out some: keyframes are taken in their order, and where more than
+//! They take the stages of the final maps (module `stages`), one keyframe and one stage at a time.
+//! A keyframe takes a stage when the [`AHEAD`] keyframes after it are as far, so that neighbours on
+//! both sides have their say, and its depth is ready when five more are finished. Who has no time
+//! for all of them leaves out some: keyframes are taken in their order, and where more than
 //! [`MAX_BEHIND`] wait, the newest are, the others when there is nothing else to do.
 
 use super::certainty::Certainty;
-use super::dense::{agreed, neighbours, stereo};
-use super::envelope::Cloud;
+use super::dense::neighbours;
 use super::posed::{PosedKeyframe, Scene};
-use super::refine::Found;
+use super::scan::Depths;
+use super::stages::{Completed, Found, agreed, completed, found, mapped, matched};
 use super::view::View;
 use super::{KeyframeCamera, KeyframeScan, MappingConfig};
 use crate::store::Kept;
@@ -54,7 +54,7 @@ struct Work {
     /// What was found by each later stage.
     found: Option<Found>,
     agreed: Option<Found>,
-    completed: Option<(Found, Cloud)>,
+    completed: Option<Completed>,
 }
 
 impl Work {
@@ -68,10 +68,6 @@ impl Work {
             agreed: None,
             completed: None,
         }
-    }
-
-    fn completed(&self) -> Option<&Found> {
-        self.completed.as_ref().map(|(found, _)| found)
     }
 }
 
@@ -140,7 +136,7 @@ impl LiveDepth {
             Stage::Agreed => self.complete(index, poses),
             Stage::Completed | Stage::Ready => {
                 self.work[index].stage = Stage::Ready;
-                return Step::Better(self.enclose(index, poses));
+                return Step::Better(self.map(index, poses));
             }
         };
         self.work[index].stage = stage;
@@ -188,12 +184,13 @@ impl LiveDepth {
 
     /// Matches the image of a keyframe with those of its neighbours.
     fn match_images(&mut self, index: usize, poses: &PoseSnapshot) -> Stage {
-        let depth = self.scene(poses, &[], |scene| {
-            stereo(scene, index, &neighbours(scene, index))
+        let store = self.work[index].keyframe.pixels.store();
+        let dense = self.scene(poses, &[], |scene| {
+            matched(scene, index, &neighbours(scene, index), store)
         });
         let work = &mut self.work[index];
-        let (id, store) = (work.keyframe.id, work.keyframe.pixels.store());
-        work.dense = depth.map(|depth| store.keep(depth));
+        let id = work.keyframe.id;
+        work.dense = dense;
         self.last = Some(id);
         self.held.push_back(id);
         while self.held.len() > MAX_HELD
@@ -209,8 +206,7 @@ impl LiveDepth {
         let store = self.work[index].keyframe.pixels.store();
         let dense = |other: usize| self.work[other].dense.as_ref()?.get();
         let found = self.scene(poses, &[], |scene| {
-            let dense = agreed(scene, index, &neighbours(scene, index), dense);
-            Found::of_keyframe(scene, index, dense.as_ref(), store)
+            found(scene, index, &neighbours(scene, index), dense, store)
         });
         self.work[index].found = Some(found);
         Stage::Found
@@ -222,10 +218,10 @@ impl LiveDepth {
             let near = self.views(COMPARED, index, |work| work.found.as_ref());
             let certainty = self.scene(poses, &near, Certainty::of_scene);
             let views = self.views(MAX_HELD, index, |work| work.found.as_ref());
-            let depths = self.scene(poses, &views, |scene| {
-                found.certain(scene, index, certainty)
+            let agreed = self.scene(poses, &views, |scene| {
+                agreed(scene, found, index, certainty)
             });
-            self.work[index].agreed = Some(found.with_depths(depths, &self.camera));
+            self.work[index].agreed = Some(agreed);
         }
         Stage::Agreed
     }
@@ -234,26 +230,26 @@ impl LiveDepth {
     fn complete(&mut self, index: usize, poses: &PoseSnapshot) -> Stage {
         if let Some(agreed) = &self.work[index].agreed {
             let views = self.views(MAX_HELD, index, |work| work.agreed.as_ref());
-            let completed = self.scene(poses, &views, |scene| agreed.completed(scene, index));
-            let cloud = Cloud::new(completed.view.as_ref(), &self.camera, &self.config);
-            self.work[index].completed = Some((completed, cloud));
+            let completed = self.scene(poses, &views, |scene| completed(scene, agreed, index));
+            self.work[index].completed = Some(completed);
         }
         Stage::Completed
     }
 
-    /// What of a keyframe is mapped: with walls, floor and ceiling beyond what was measured; nothing where nothing was found.
-    fn enclose(&self, index: usize, poses: &PoseSnapshot) -> KeyframeScan {
+    /// What of a keyframe is mapped; nothing where nothing was found.
+    fn map(&self, index: usize, poses: &PoseSnapshot) -> KeyframeScan {
         let work = &self.work[index];
-        let depths = work.completed().map(|completed| {
-            let views = self.views(MAX_HELD, index, Work::completed);
-            let cloud = |other: usize| Some(&self.work[other].completed.as_ref()?.1);
-            self.scene(poses, &views, |scene| {
-                completed.enclosed(scene, index, cloud)
-            })
+        let Some(completed) = &work.completed else {
+            let store = work.keyframe.pixels.store();
+            return Depths::default().joined(work.keyframe.id, &self.camera, store);
+        };
+        let views = self.views(MAX_HELD, index, |work| {
+            Some(&work.completed.as_ref()?.found)
         });
-        let (id, store) = (work.keyframe.id, work.keyframe.pixels.store());
-        let depths = depths.unwrap_or_default();
-        depths.joined(id, &self.camera, store)
+        let cloud = |other: usize| Some(&self.work[other].completed.as_ref()?.cloud);
+        self.scene(poses, &views, |scene| {
+            mapped(scene, completed, index, cloud)
+        })
     }
 
     /// What keyframes have at a stage, by their index, of those around one.

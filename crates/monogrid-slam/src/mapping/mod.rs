@@ -25,14 +25,15 @@ mod certainty;
 mod completion;
 mod config;
 mod dense;
-mod envelope;
 mod fill;
 mod fusion;
 mod live_depth;
 mod maps;
+mod planes;
 mod posed;
 mod refine;
 mod scan;
+mod stages;
 #[cfg(test)]
 mod test_wall;
 mod transfer;
@@ -47,12 +48,12 @@ pub use config::{
     AutoLength, DenseMappingConfig, DepthFilterConfig, FillConfig, FusionConfig, MapQuality,
     MappingConfig, MeshConfig, RefineConfig, SensorModelKind,
 };
-pub use envelope::{EnvelopeConfig, StraightenConfig};
 pub use fill::fill_plain_regions;
 pub use maps::{
     LiveMaps, LiveView, MapReader, MapStats, Mapper, Maps, Waiting, z_up_from_camera_world,
 };
 pub use monogrid_occupancy::{AndertForm, IntegrationRule, SigmaMode, ThrunForm};
+pub use planes::PlanesConfig;
 pub use posed::{DepthOf, ImageOf, PosedKeyframe};
 pub(crate) use refine::final_scans_of;
 pub use refine::{final_scans, refined_depths};

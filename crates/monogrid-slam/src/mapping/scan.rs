@@ -129,8 +129,9 @@ impl KeyframeScan {
         Self::kept(self.id, self.camera, (pixels, 0), self.pixels.store())
     }
 
-    /// Its measurements, row-major, in units of the keyframe, in memory as long as this is held; none where they cannot be read back,
-    /// which is an error in the end ([`crate::Slam::check_spilled`]).
+    /// Its measurements, row-major, in units of the keyframe, in memory as long as this is held;
+    /// none where they cannot be read back, which is an error in the end
+    /// ([`crate::Slam::check_spilled`]).
     #[must_use]
     pub fn pixels(&self) -> Arc<Vec<Measurement>> {
         self.pixels.get().unwrap_or_default()
@@ -252,8 +253,8 @@ impl KeptDepths {
         self.measured.store()
     }
 
-    /// What was measured, and what was filled in; none where it cannot be read back, which is an error in the end
-    /// ([`crate::Slam::check_spilled`]).
+    /// What was measured, and what was filled in; none where it cannot be read back, which is an
+    /// error in the end ([`crate::Slam::check_spilled`]).
     pub fn kinds(&self) -> [Arc<Vec<Measurement>>; 2] {
         [self.measured.get().unwrap_or_default(), self.filled()]
     }

@@ -8,7 +8,8 @@ use monogrid_geometry::{Sim3, Vec2, Vec3};
 use monogrid_occupancy::DepthPixel as Measurement;
 use std::sync::Arc;
 
-/// Squares of an image by which is found whether two keyframes see the same: one every so many pixels in both directions, ...
+/// Squares of an image by which is found whether two keyframes see the same: one every so many
+/// pixels in both directions, ...
 const PROBE_STRIDE_PX: usize = 32;
 /// ... with this edge.
 const PROBE_PX: usize = 4;
@@ -22,7 +23,8 @@ pub(super) struct View {
     /// Some of the points that it sees, in its frame.
     pub probes: Arc<[Vec3]>,
     pub world_from_keyframe: Sim3,
-    /// How far across epipolar lines other images show its patches, px ([`monogrid_depth::epipolar_misfits`]).
+    /// How far across epipolar lines other images show its patches, px
+    /// ([`monogrid_depth::epipolar_misfits`]).
     pub misfits: Arc<[f32]>,
 }
 
@@ -51,7 +53,8 @@ impl View {
     }
 }
 
-/// Some of the points that a keyframe sees: the middles of the squares that have depth, at the mean of what was measured in them, else of what was filled in.
+/// Some of the points that a keyframe sees: the middles of the squares that have depth, at the mean
+/// of what was measured in them, else of what was filled in.
 pub(super) fn probes(depths: &Depths, camera: &KeyframeCamera) -> Arc<[Vec3]> {
     let columns = camera.width.div_ceil(PROBE_STRIDE_PX);
     let rows = camera.height.div_ceil(PROBE_STRIDE_PX);
@@ -76,7 +79,8 @@ pub(super) fn probes(depths: &Depths, camera: &KeyframeCamera) -> Arc<[Vec3]> {
 }
 
 impl<'a> Scene<'a> {
-    /// Keyframes that see some of what another one sees, by their index, evenly spread over all of them; none where that has no pose.
+    /// Keyframes that see some of what another one sees, by their index, evenly spread over all of
+    /// them; none where that has no pose.
     pub fn witnesses(&self, index: usize, most: usize) -> Vec<(usize, &'a View)> {
         let Some(this) = &self.views[index] else {
             return Vec::new();

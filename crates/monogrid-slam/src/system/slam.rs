@@ -188,8 +188,8 @@ impl Slam {
         self.map.store().failure()
     }
 
-    /// Whether all keyframes that were asked for came back from that file. Depth that does not is missing in what was made
-    /// meanwhile, so whoever hands over maps asks this last.
+    /// Whether all keyframes that were asked for came back from that file. Depth that does not is
+    /// missing in what was made meanwhile, so whoever hands over maps asks this last.
     ///
     /// # Errors
     /// A keyframe could not be read back.
