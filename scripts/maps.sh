@@ -72,6 +72,7 @@ while [ $# -gt 0 ]; do
 done
 [ ${#scenes[@]} -gt 0 ] || { echo 'no scene: name folders, or set SCENES' >&2; exit 2; }
 [ ${#variants[@]} -gt 0 ] || variants=(default)
+command -v "$bin" >/dev/null || { echo "no program $bin: build it, or set BIN" >&2; exit 2; }
 
 results=${RESULTS:-}
 if [ -z "$results" ]; then
