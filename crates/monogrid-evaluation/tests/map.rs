@@ -235,6 +235,17 @@ fn the_view_limits_what_is_asked_for() {
         "{free} {in_view}"
     );
     assert_eq!(report.surface.completeness, 1.0);
+    // every cell that was observed is right: what is missed is the column in view that was not
+    let known = report.known_in_view.as_ref().expect("a view");
+    let in_column = |state| view.keys_in(state).filter(|k| k[0] == 9).count() as u64;
+    let (missed, unobserved) = (in_column(Occupancy::Occupied), in_column(Occupancy::Free));
+    assert!(missed > 0 && unobserved > 0);
+    assert_eq!((known.counts.fp, known.counts.fn_), (0, missed));
+    let counted = known.counts.tp + known.counts.tn + missed;
+    assert_eq!(counted, view.counts().free + view.counts().occupied);
+    assert!(known.recall > report.policies.known.recall && known.auc > 0.9);
+    let blind = evaluate(&half, &truth);
+    assert_eq!(blind.known_in_view, None);
 
     // A view of larger cells covers the same and a rim.
     let coarse = view.coarsened(2).expect("a factor");

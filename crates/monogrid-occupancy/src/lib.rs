@@ -95,7 +95,6 @@ mod sensor;
 mod storage;
 #[cfg(test)]
 mod test_random;
-mod unseen;
 
 pub use combine::{CellCounts, MapDifference};
 pub use decay::{Decay, DecayConfig};
@@ -122,4 +121,3 @@ pub use scan::{
     DepthImage, DepthPixel, DepthScan, PointScan, PoseSigma, Scan, ScanData, SigmaMode, Similarity,
 };
 pub use sensor::{AndertForm, Buffer, SensorModel, Significance, ThrunForm, normal_cdf};
-pub use unseen::{CameraView, UnseenLimits};

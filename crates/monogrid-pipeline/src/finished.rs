@@ -86,8 +86,8 @@ impl Finished {
     /// are at hand: [`Self::final_scans`]. Where the camera was in the frames of `earlier` sessions is free too; cells have
     /// the edge of the settings, or `edge`. `done` grows with every keyframe that is put in its place, for those who wait.
     ///
-    /// # Errors
-    /// A map that would exceed its memory.
+    /// # Errors A map that would exceed its memory, or depth that cannot be read back from the file
+    /// of [`Slam::spill_into`].
     pub fn maps_of(
         &mut self,
         scans: Vec<KeyframeScan>,
@@ -100,7 +100,6 @@ impl Finished {
         let Some(mut live) = live.filter(|_| !scans.is_empty()) else {
             return Ok(None);
         };
-        let cameras: Vec<_> = scans.iter().map(|scan| (scan.id, scan.camera)).collect();
         let mapper = match edge {
             Some(edge) => live.mapper().with_resolution(edge),
             None => live.mapper().clone(),
@@ -111,11 +110,7 @@ impl Finished {
             scans.into_iter().for_each(|scan| live.revise(scan));
         }
         let mut maps = live.finish(&self.poses, map_from_world, camera, self.threads, done)?;
-        let posed = cameras.iter().filter_map(|(id, camera)| {
-            let pose = self.poses.in_main_map(*id)?;
-            Some((*camera, *map_from_world * *pose))
-        });
-        mapper.forget_unseen(&mut maps.global, posed)?;
+        self.slam.check_spilled()?;
         let mut frames = earlier.to_vec();
         frames.extend(self.slam.tracked_frames());
         let paths = camera_paths(&frames, |id| self.poses.in_main_map(id), map_from_world);

@@ -15,7 +15,9 @@ use monogrid_occupancy::{MapError, OccupancyMap};
 use monogrid_slam::mapping::{
     KeyframeCamera, LiveMaps, MapReader, Mapper, MappingConfig, z_up_from_camera_world,
 };
-use monogrid_slam::{Effort, FrameInput, FrameReport, Purpose, Slam, SlamConfig, StoredMap, Told};
+use monogrid_slam::{
+    Effort, FrameInput, FrameReport, Purpose, Slam, SlamConfig, SpillError, StoredMap, Told,
+};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;
@@ -74,6 +76,9 @@ pub enum PipelineError {
     /// A map that cannot be built.
     #[error(transparent)]
     Map(#[from] MapError),
+    /// Depth of keyframes is lost, so that maps would lack it.
+    #[error(transparent)]
+    Spilled(#[from] SpillError),
     /// The system has no more threads.
     #[error("cannot start a thread: {0}")]
     Thread(#[from] std::io::Error),

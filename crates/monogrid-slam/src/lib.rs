@@ -59,6 +59,7 @@ pub use report::{
     FrameReport, InFragment, LostReason, MapBytes, MapSize, StageTimes, TrackingState,
 };
 pub use sparse::{ImageAdjustmentConfig, SparseConfig};
+pub use store::SpillError;
 pub use stored::{
     ContinueError, Purpose, StoredEdge, StoredKeyframe, StoredLink, StoredMap, StoredPoint,
 };

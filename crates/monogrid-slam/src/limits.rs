@@ -379,24 +379,10 @@ const MAPPING: &[Limit<MappingConfig>] = limits! { mapping: MappingConfig,
         max_against: 0.0, 1000.0;
         max_difference: 0.0, 1000.0;
     }
-    mapping.envelope => {
-        max_planes: 0.0, 1000.0;
-        min_share: 0.0001, 1.0;
-        reach: 0.0001, 1.0;
-        max_behind_share: 0.0, 1.0;
-        min_plain_share: 0.001, 1.0;
-        min_other_share: 0.001, 1.0;
+    mapping.planes => {
+        max_count: 0.0, 1000.0;
+        relative_sigma: 0.0, 1.0;
         max_extent: 0.0, 100.0;
-    }
-    mapping.straighten => {
-        relative_sigma: 0.0, 1.0;
-        max_deviations: 0.0, 100.0;
-        min_concentration: 0.0, 1.0;
-    }
-    mapping.rims => {
-        relative_sigma: 0.0, 1.0;
-        width: 0.0, 100.0;
-        min_step: 0.001, 0.999;
     }
     mapping.fill => {
         max_gradient: 0.01, 255.0;
@@ -412,14 +398,6 @@ const MAPPING: &[Limit<MappingConfig>] = limits! { mapping: MappingConfig,
         front_weight: 0.001, 1.0;
         correlated_points: 1.0, 1_000_000.0;
         max_stated_sigma: 0.000001, f64::INFINITY;
-        max_witnesses: 0.0, 1000.0;
-        tolerance: 0.0001, 1.0;
-        max_against: 0.0, 1000.0;
-    }
-    mapping.unseen => {
-        max_behind: 0.0, 1000.0;
-        max_behind_share: 0.0, 1.0;
-        max_beside: 0.0, 100.0;
     }
     mapping.upright => {
         roll_sigma_deg: 1.0, 180.0;

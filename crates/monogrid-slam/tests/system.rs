@@ -182,6 +182,31 @@ fn the_same_bits_for_any_number_of_threads_and_any_memory() {
 }
 
 #[test]
+fn depth_that_cannot_be_read_back_is_an_error_of_what_was_made_without_it() {
+    use std::io::{Seek as _, SeekFrom, Write as _};
+    let mut config = SlamConfig::default();
+    config.memory.keyframes_mb = 0.0;
+    let mut slam = system(config, 3);
+    let mut file = tempfile::tempfile().unwrap();
+    slam.spill_into(file.try_clone().unwrap());
+    for input in &clip().inputs[..70] {
+        slam.process_frame(input.clone());
+    }
+    slam.finish();
+    let scans = || slam.final_scans(&MappingConfig::default(), 1, &AtomicUsize::new(0));
+    let whole: usize = scans().iter().map(|scan| scan.num_pixels).sum();
+    assert!(whole > 0 && slam.num_keyframes() > 2);
+    slam.check_spilled().unwrap();
+    let length = file.seek(SeekFrom::End(0)).unwrap();
+    file.seek(SeekFrom::Start(0)).unwrap();
+    file.write_all(&vec![0xa5; length as usize]).unwrap();
+    let left: usize = scans().iter().map(|scan| scan.num_pixels).sum();
+    assert!(left < whole, "{left} of {whole}");
+    let said = slam.check_spilled().unwrap_err().to_string();
+    assert!(said.contains("cannot be read back"), "{said}");
+}
+
+#[test]
 fn the_thesis_profile_starts_at_random_with_its_seed() {
     let (slam, reports) = run(SlamConfig::thesis(), 1, &clip().inputs);
     assert_eq!(reports[0].state, TrackingState::Good);

@@ -13,6 +13,19 @@ use toml::{Table, Value};
 /// First line of every `config.toml` that we write.
 const CONFIG_MARKER: &str = "# effective configuration of a monogrid run";
 
+/// Settings and sections that earlier versions had: what they did brought nothing on recordings
+/// that had no part in choosing it (docs/studies.md, *Fewer stages*), or is in `mapping.planes`
+/// now. Recordings may still name them; a file or `--set` must not.
+const GONE: [&str; 7] = [
+    "mapping.envelope",
+    "mapping.fill.max_against",
+    "mapping.fill.max_witnesses",
+    "mapping.fill.tolerance",
+    "mapping.rims",
+    "mapping.straighten",
+    "mapping.unseen",
+];
+
 /// Everything that decides the result of a run, besides its input.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -112,12 +125,12 @@ impl RunConfig {
 
     /// The mapping settings of a recorded configuration; `None` when they cannot be understood.
     pub fn recorded_mapping(text: &str) -> Option<Self> {
-        Self::of_mapping_table(None, with_explicit_resolution(text.parse().ok()?)).ok()
+        Self::of_mapping_table(None, of_recording(text)?).ok()
     }
 
     /// All settings of a recorded configuration; `None` when they cannot be understood.
     pub fn recorded(text: &str) -> Option<Self> {
-        let content = with_explicit_resolution(text.parse().ok()?);
+        let content = of_recording(text)?;
         let named = content.get("profile").cloned();
         let profile = named.map(Value::try_into).transpose().ok()?;
         let mut table = Table::try_from(Self::of(profile.unwrap_or_default())).ok()?;
@@ -219,13 +232,43 @@ fn read_table(path: &Path) -> Result<Table, Failure> {
     let bytes = read_file(path, MAX_CONFIG_BYTES).bad_input()?;
     let text = String::from_utf8_lossy(&bytes);
     let content = text.parse().map(with_explicit_resolution);
-    content.map_err(|error: toml::de::Error| {
+    let mut content = content.map_err(|error: toml::de::Error| {
         Failure::input(format!(
             "configuration {} is not TOML: {}",
             path.display(),
             error.to_string().trim_end()
         ))
-    })
+    })?;
+    match take_gone(&mut content).as_slice() {
+        [] => Ok(content),
+        gone => Err(Failure::input(format!(
+            "configuration {}: {} does not exist any more; take it out of the file",
+            path.display(),
+            gone.join(", ")
+        ))),
+    }
+}
+
+/// The settings of a recording, but for those that exist no more.
+fn of_recording(text: &str) -> Option<Table> {
+    let mut content = with_explicit_resolution(text.parse().ok()?);
+    take_gone(&mut content);
+    Some(content)
+}
+
+/// Takes settings that exist no more out of a table; those that were there.
+fn take_gone(content: &mut Table) -> Vec<&'static str> {
+    let mut taken = GONE.to_vec();
+    taken.retain(|name| {
+        let mut path = name.split('.');
+        let last = path.next_back().unwrap_or_default();
+        let mut inner = Some(&mut *content);
+        for part in path {
+            inner = inner.and_then(|table| table.get_mut(part)?.as_table_mut());
+        }
+        inner.is_some_and(|table| table.remove(last).is_some())
+    });
+    taken
 }
 
 /// Replaces values of `base` by those of `over`, table by table.
@@ -238,6 +281,12 @@ fn merge(base: &mut Table, over: Table) {
     }
 }
 
+/// Whether a key is a setting, or of a section, of this name.
+fn is_part_of(key: &str, name: &str) -> bool {
+    let rest = key.strip_prefix(name);
+    rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+}
+
 /// `a.b.c=value`; the value is TOML, or a string when it is not.
 fn apply_setting(table: &mut Table, setting: &str) -> Result<(), Failure> {
     let Some((key, text)) = setting.split_once('=') else {
@@ -248,6 +297,10 @@ fn apply_setting(table: &mut Table, setting: &str) -> Result<(), Failure> {
         return Err(Failure::input(format!(
             "--set {setting}: a profile is all settings at once; choose it with --profile NAME, or with `profile = \"NAME\"` in a file"
         )));
+    }
+    if let Some(gone) = GONE.iter().find(|name| is_part_of(key.trim(), name)) {
+        let said = format!("--set {setting}: {gone} does not exist any more; leave it out");
+        return Err(Failure::input(said));
     }
     let text = text.trim();
     let parsed = format!("value = {text}").parse::<Table>().ok();
@@ -426,6 +479,43 @@ mod tests {
         let config = RunConfig::resolve_mapping(Some(Profile::Default), Some(&path)).unwrap();
         assert!((config.mapping.resolution - 0.3).abs() < 1e-12);
         assert_eq!(config.mapping.buffer, AutoLength::Auto);
+    }
+
+    #[test]
+    fn settings_that_exist_no_more_are_named_and_recordings_may_have_them() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("c.toml");
+        for name in GONE {
+            let (section, key) = name.rsplit_once('.').unwrap();
+            let text = format!("profile = \"thesis\"\n[mapping]\nmax_range = 4.0\n[{section}]\n");
+            let text = match section {
+                "mapping" => {
+                    format!("profile = \"thesis\"\n[mapping]\nmax_range = 4.0\n[{name}]\nx = 1\n")
+                }
+                _ => format!("{text}{key} = 1\n"),
+            };
+            std::fs::write(&path, &text).unwrap();
+            for failure in [
+                RunConfig::resolve(None, Some(&path), &[]).unwrap_err(),
+                RunConfig::resolve_mapping(None, Some(&path)).unwrap_err(),
+                RunConfig::resolve(None, None, &[format!("{name}.x=1")]).unwrap_err(),
+                RunConfig::resolve(None, None, &[format!("{name}=1")]).unwrap_err(),
+            ] {
+                let said = message(&failure);
+                assert!(said.contains(name) && said.contains("any more"), "{said}");
+            }
+            let expected = MappingConfig {
+                max_range: 4.0,
+                ..MappingConfig::thesis()
+            };
+            let recorded = RunConfig::recorded_mapping(&text).unwrap();
+            assert_eq!(recorded.mapping, expected, "{name}");
+            assert_eq!(RunConfig::recorded(&text).unwrap().mapping, expected);
+        }
+        // a name that only begins like one is as unknown as ever
+        let other = format!("{}s.x=1", GONE[0]);
+        let failure = RunConfig::resolve(None, None, &[other]).unwrap_err();
+        assert!(!message(&failure).contains("any more"));
     }
 
     #[test]

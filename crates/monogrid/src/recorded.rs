@@ -105,8 +105,6 @@ impl Recorded {
         let poses = self.world_from_keyframes();
         let map_from_world = &self.frame.map_from_world;
         let (mut map, stats) = mapper.build(scans, &poses, map_from_world)?;
-        let posed = self.posed(scans).map(|(scan, pose)| (scan.camera, pose));
-        mapper.forget_unseen(&mut map, posed)?;
         let of_keyframe = |id: u32| {
             let found = self.keyframes.binary_search_by_key(&id, |k| k.id).ok()?;
             self.keyframes[found].world_from_keyframe.as_ref()

@@ -93,6 +93,8 @@ pub enum MapEvaluationError {
 #[derive(Default)]
 struct Pass {
     scores: ScoreCounter,
+    /// Those of the cells in view; empty without a view.
+    scores_in_view: ScoreCounter,
     slices: Vec<Slice>,
     /// Predicted occupied cells; empty when nobody asks for distances.
     predicted: Vec<[i32; 3]>,
@@ -201,6 +203,10 @@ impl<'a> MapEvaluator<'a> {
         let share = |part: u64, whole: u64| part as f64 / whole.max(1) as f64;
         Ok(MapReport {
             policies: groups.map(|g| policy_report(g)),
+            known_in_view: in_view.map(|view| {
+                let scores = pass.scores_in_view.into_sorted();
+                policy_report(&policy_groups(&scores, &view, &seen).known)
+            }),
             roc: groups.map(|g| classify::roc_26(g)),
             coverage_free: share(observed.free, self.counts.free),
             coverage_occupied: share(observed.occupied, self.counts.occupied),
@@ -260,6 +266,7 @@ impl<'a> MapEvaluator<'a> {
             slice.observed.add(state);
             if self.counts_in_view.is_some() && self.view.contains(key) {
                 pass.seen_in_view.add(state);
+                pass.scores_in_view.at(cell.log_odds).add(state);
             }
         }
         pass

@@ -62,6 +62,9 @@ impl<T> Policies<T> {
 pub struct MapReport {
     /// Classification under the four policies.
     pub policies: Policies<PolicyReport>,
+    /// The policy `known` over the cells in view alone: a map is not blamed for what nobody saw.
+    /// `None` when the view was not given.
+    pub known_in_view: Option<PolicyReport>,
     /// ROC curves at the thesis' 26 thresholds.
     pub roc: Policies<Vec<RocPoint>>,
     /// Share of truly free cells that were observed.

@@ -7,10 +7,10 @@
 //! has one factor for the whole map, and filled depth has one.
 
 use super::KeyframeCamera;
-use super::agreement::View;
 use super::posed::Scene;
 use super::refine::for_each_keyframe;
 use super::scan::{Depths, KeptDepths};
+use super::view::View;
 use crate::median::median;
 use monogrid_occupancy::DepthPixel as Measurement;
 use std::sync::Arc;

@@ -1,6 +1,6 @@
 //! Settings of mapping, as they stand in the section `[mapping]` of a configuration file.
 
-use super::{CompletionConfig, EnvelopeConfig, RimConfig, StraightenConfig, UprightConfig};
+use super::{CompletionConfig, PlanesConfig, UprightConfig};
 use crate::ConfigError;
 use monogrid_depth::{DenseConfig, MultiViewConfig};
 use monogrid_occupancy::{
@@ -29,8 +29,8 @@ pub enum SensorModelKind {
 pub enum MapQuality {
     /// The depth of the filter, refined.
     Fast,
-    /// And dense depth, depth from other keyframes, and large planes beyond what was measured: more of the surfaces and of the free space, for four
-    /// times the work.
+    /// And dense depth, depth from other keyframes, and large planes beyond what was measured: more
+    /// of the surfaces and of the free space, for four times the work.
     #[serde(alias = "dense")]
     Default,
     /// The same with finer planes and more keyframes beside each ([`MappingConfig::at_its_quality`]): still more of the surfaces, for twice the
@@ -231,13 +231,6 @@ pub struct FillConfig {
     /// two or three times smaller. Default 0.08: with 0.035, walls with few points on them were left open (icl-office-kt3 had 4 % less
     /// of its surfaces). Range [0.000001, inf].
     pub max_stated_sigma: f64,
-    /// Other keyframes that are asked whether filled depth can be; 0 asks none. Default 24. Range [0, 1000].
-    pub max_witnesses: usize,
-    /// Depths that differ by this share of them are of two surfaces. Default 0.03. Range [0.0001, 1].
-    pub tolerance: f64,
-    /// Votes against filled depth for each that agrees, at most; measured depth has one vote, filled half of one.
-    /// Default 0.25. Range [0, 1000].
-    pub max_against: f32,
 }
 
 impl Default for FillConfig {
@@ -257,9 +250,6 @@ impl Default for FillConfig {
             front_weight: 0.25,
             correlated_points: 100.0,
             max_stated_sigma: 0.08,
-            max_witnesses: 24,
-            tolerance: 0.03,
-            max_against: 0.25,
         }
     }
 }
@@ -270,9 +260,10 @@ impl Default for FillConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MappingConfig {
-    /// How much is done for the depth of final maps: `fast` refines the depth of the filter, `default` makes depth of all pixels
-    /// beside it and completes it (`dense`, `completion`, `envelope`), for four times the work; `best` does so with at least 160 planes half a
-    /// pixel apart, 6 sources and twice the witnesses, for eight times. Default `default`.
+    /// How much is done for the depth of final maps: `fast` refines the depth of the filter, `default`
+    /// makes depth of all pixels beside it and completes it (`dense`, `completion`, `planes`), for four
+    /// times the work; `best` does so with at least 160 planes half a pixel apart, 6 sources and twice
+    /// the witnesses, for eight times. Default `default`.
     pub quality: MapQuality,
     /// Edge of a cell. Default 0.05. Range [0.000001, 1000000].
     pub resolution: f64,
@@ -358,41 +349,12 @@ pub struct MappingConfig {
     pub completion: CompletionConfig,
     /// Depth of plain surfaces.
     pub fill: FillConfig,
-    /// Walls, floor and ceiling beyond what was measured.
-    pub envelope: EnvelopeConfig,
-    /// Depth on large planes.
-    pub straighten: StraightenConfig,
-    /// Depth at the rims of what is nearer.
-    pub rims: RimConfig,
-    /// Cells that no keyframe can see.
-    pub unseen: UnseenConfig,
+    /// Depth on large planes, and these planes beyond what was measured of them.
+    pub planes: PlanesConfig,
     /// Up and the floor.
     pub upright: UprightConfig,
     /// The surface as triangles.
     pub mesh: MeshConfig,
-}
-
-/// Occupied cells of final maps that keyframes have in their images and none can see are unknown again: depth that is too far puts surfaces
-/// behind others.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct UnseenConfig {
-    /// A cell is seen past an occupied one at most this many cells before it; 0: all cells stay. Default 5. Range [0, 1000].
-    pub max_behind: f64,
-    /// Or at most this share of the range before it, where that is more. Default 0.03. Range [0, 1].
-    pub max_behind_share: f64,
-    /// So is a cell this many cells, along an axis, beside a free one that is seen past no occupied cell. Default 6. Range [0, 100].
-    pub max_beside: u32,
-}
-
-impl Default for UnseenConfig {
-    fn default() -> Self {
-        Self {
-            max_behind: 5.0,
-            max_behind_share: 0.03,
-            max_beside: 6,
-        }
-    }
 }
 
 /// The surface between occupied and free cells as a mesh.
@@ -451,10 +413,7 @@ impl Default for MappingConfig {
             fusion: FusionConfig::default(),
             completion: CompletionConfig::default(),
             fill: FillConfig::default(),
-            envelope: EnvelopeConfig::default(),
-            straighten: StraightenConfig::default(),
-            rims: RimConfig::default(),
-            unseen: UnseenConfig::default(),
+            planes: PlanesConfig::default(),
             upright: UprightConfig::default(),
             mesh: MeshConfig::default(),
         }
@@ -508,21 +467,9 @@ impl MappingConfig {
                 enabled: false,
                 ..FillConfig::default()
             },
-            envelope: EnvelopeConfig {
-                max_planes: 0,
-                ..EnvelopeConfig::default()
-            },
-            straighten: StraightenConfig {
-                relative_sigma: 0.0,
-                ..StraightenConfig::default()
-            },
-            rims: RimConfig {
-                relative_sigma: 0.0,
-                ..RimConfig::default()
-            },
-            unseen: UnseenConfig {
-                max_behind: 0.0,
-                ..UnseenConfig::default()
+            planes: PlanesConfig {
+                max_count: 0,
+                ..PlanesConfig::default()
             },
             ..Self::default()
         }
@@ -548,12 +495,11 @@ impl MappingConfig {
         best.refine.stereo.interpolate = false;
         // 0 is without them
         let witnesses = [
-            (&mut best.fusion.max_witnesses, 32),
-            (&mut best.completion.max_witnesses, 32),
-            (&mut best.fill.max_witnesses, 48),
+            &mut best.fusion.max_witnesses,
+            &mut best.completion.max_witnesses,
         ];
-        for (count, least) in witnesses.into_iter().filter(|(count, _)| **count > 0) {
-            raise(count, least);
+        for count in witnesses.into_iter().filter(|count| **count > 0) {
+            raise(count, 32);
         }
         Cow::Owned(best)
     }
@@ -647,7 +593,6 @@ mod tests {
         assert_eq!((stereo.max_planes, stereo.step_px), (160, 0.5));
         assert_eq!((best.dense.max_sources, best.dense.max_witnesses), (9, 16));
         assert!(best.fusion.max_witnesses == 0 && best.completion.max_witnesses == 32);
-        assert_eq!(best.fill.max_witnesses, 48);
         assert!(!best.refine.stereo.interpolate && best.refine.stereo.max_sources == 8);
         assert_eq!(best.refine.max_keyframes, 16);
         let back = MappingConfig {
@@ -655,7 +600,6 @@ mod tests {
             refine: config.refine.clone(),
             fusion: config.fusion,
             completion: config.completion.clone(),
-            fill: config.fill.clone(),
             ..best.clone().into_owned()
         };
         assert_eq!(back, config);

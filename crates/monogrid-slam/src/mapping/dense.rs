@@ -3,9 +3,8 @@
 
 use super::KeyframeCamera;
 use super::posed::{Neighbour, Scene};
-use super::refine::{for_each_keyframe, seeds, source_views};
+use super::refine::{seeds, source_views};
 use crate::DepthPixel;
-use crate::store::{Kept, Store};
 use monogrid_depth::{DenseDepth, Witness, dense_depth};
 use monogrid_geometry::{Sim3, Vec2, Vec3};
 use monogrid_image::Image;
@@ -22,25 +21,8 @@ const ANGLE_WIDTHS: [f64; 2] = [0.5, 1.25];
 /// Depths of the half image that differ by less than this share are interpolated.
 const ONE_SURFACE: f32 = 0.03;
 
-/// The dense depth of each keyframe that others confirm, where there is room; `None` where there is no image, no pose or no neighbour.
-///
-/// The result does not depend on the number of threads.
-pub(super) fn dense_depths(scene: &Scene, store: &Store) -> Vec<Option<Kept<DenseDepth>>> {
-    let (count, threads) = (scene.keyframes.len(), scene.threads);
-    let neighbours = for_each_keyframe(count, threads, |index| neighbours(scene, index));
-    let depths: Vec<Option<Kept<DenseDepth>>> = for_each_keyframe(count, threads, |index| {
-        let depth = stereo(scene, index, &neighbours[index])?;
-        Some(store.keep(depth))
-    });
-    let depth = |index: usize| depths[index].as_ref()?.get();
-    for_each_keyframe(count, threads, |index| {
-        let agreed = agreed(scene, index, &neighbours[index], depth)?;
-        Some(store.keep(agreed))
-    })
-}
-
 /// What of the dense depth of one keyframe that of its neighbours confirms; `depth` is that of each, as it was matched.
-pub(super) fn agreed(
+pub(super) fn confirmed(
     scene: &Scene,
     index: usize,
     neighbours: &[Neighbour],

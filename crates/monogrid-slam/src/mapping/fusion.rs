@@ -193,7 +193,7 @@ impl Grid {
 mod tests {
     use super::*;
     use crate::mapping::MappingConfig;
-    use crate::mapping::agreement::View;
+    use crate::mapping::view::View;
     use monogrid_geometry::{Pinhole, Rotation, Sim3, Vec3};
 
     const CAMERA: KeyframeCamera = KeyframeCamera {

@@ -1,17 +1,17 @@
 //! Better depth of keyframes while a run goes on.
 //!
-//! The same steps as for the final maps (module `refine`), one keyframe and one step at a time: dense depth by the images of its
-//! neighbours → what of it they confirm → filled depth that they do not contradict → one depth from all that see the same → depth where it has
-//! none from these → walls, floor and ceiling beyond what was measured of them. A keyframe takes a step when the [`AHEAD`] keyframes after
-//! it are as far, so that neighbours on both sides have their say, and its depth is ready when six more are finished. Who has no time for all of them leaves out some: keyframes are taken in their order, and where more than
+//! They take the stages of the final maps (module `stages`), one keyframe and one stage at a time.
+//! A keyframe takes a stage when the [`AHEAD`] keyframes after it are as far, so that neighbours on
+//! both sides have their say, and its depth is ready when five more are finished. Who has no time
+//! for all of them leaves out some: keyframes are taken in their order, and where more than
 //! [`MAX_BEHIND`] wait, the newest are, the others when there is nothing else to do.
 
-use super::agreement::View;
 use super::certainty::Certainty;
-use super::dense::{agreed, neighbours, stereo};
-use super::envelope::Cloud;
+use super::dense::neighbours;
 use super::posed::{PosedKeyframe, Scene};
-use super::refine::Found;
+use super::scan::Depths;
+use super::stages::{Completed, Found, agreed, completed, found, mapped, matched};
+use super::view::View;
 use super::{KeyframeCamera, KeyframeScan, MappingConfig};
 use crate::store::Kept;
 use crate::{KeptKeyframe, KeyframeId, PoseSnapshot};
@@ -36,8 +36,6 @@ enum Stage {
     Matched,
     /// What these confirm was merged with its own depth, refined and filled.
     Found,
-    /// Without filled depth that they contradict.
-    Checked,
     /// As certain as they agree, and fused with theirs.
     Agreed,
     /// With depth that they have and it has not.
@@ -53,10 +51,10 @@ struct Work {
     stage: Stage,
     /// Its dense depth, as it was matched.
     dense: Option<Kept<DenseDepth>>,
-    /// When it is `Found`, and when it is `Checked`.
+    /// What was found by each later stage.
     found: Option<Found>,
     agreed: Option<Found>,
-    completed: Option<(Found, Cloud)>,
+    completed: Option<Completed>,
 }
 
 impl Work {
@@ -70,10 +68,6 @@ impl Work {
             agreed: None,
             completed: None,
         }
-    }
-
-    fn completed(&self) -> Option<&Found> {
-        self.completed.as_ref().map(|(found, _)| found)
     }
 }
 
@@ -138,12 +132,11 @@ impl LiveDepth {
         let stage = match self.work[index].stage {
             Stage::Waiting => self.match_images(index, poses),
             Stage::Matched => self.find(index, poses),
-            Stage::Found => self.check(index, poses),
-            Stage::Checked => self.agree(index, poses),
+            Stage::Found => self.agree(index, poses),
             Stage::Agreed => self.complete(index, poses),
             Stage::Completed | Stage::Ready => {
                 self.work[index].stage = Stage::Ready;
-                return Step::Better(self.enclose(index, poses));
+                return Step::Better(self.map(index, poses));
             }
         };
         self.work[index].stage = stage;
@@ -191,12 +184,13 @@ impl LiveDepth {
 
     /// Matches the image of a keyframe with those of its neighbours.
     fn match_images(&mut self, index: usize, poses: &PoseSnapshot) -> Stage {
-        let depth = self.scene(poses, &[], |scene| {
-            stereo(scene, index, &neighbours(scene, index))
+        let store = self.work[index].keyframe.pixels.store();
+        let dense = self.scene(poses, &[], |scene| {
+            matched(scene, index, &neighbours(scene, index), store)
         });
         let work = &mut self.work[index];
-        let (id, store) = (work.keyframe.id, work.keyframe.pixels.store());
-        work.dense = depth.map(|depth| store.keep(depth));
+        let id = work.keyframe.id;
+        work.dense = dense;
         self.last = Some(id);
         self.held.push_back(id);
         while self.held.len() > MAX_HELD
@@ -212,23 +206,10 @@ impl LiveDepth {
         let store = self.work[index].keyframe.pixels.store();
         let dense = |other: usize| self.work[other].dense.as_ref()?.get();
         let found = self.scene(poses, &[], |scene| {
-            let dense = agreed(scene, index, &neighbours(scene, index), dense);
-            Found::of_keyframe(scene, index, dense.as_ref(), store)
+            found(scene, index, &neighbours(scene, index), dense, store)
         });
         self.work[index].found = Some(found);
         Stage::Found
-    }
-
-    /// Leaves out filled depth that others contradict.
-    fn check(&mut self, index: usize, poses: &PoseSnapshot) -> Stage {
-        if let Some(found) = &self.work[index].found {
-            let views = self.views(MAX_HELD, index, |work| work.found.as_ref());
-            let checked = self.scene(poses, &views, |scene| {
-                found.without_contradicted(scene, index)
-            });
-            self.work[index].found = Some(checked);
-        }
-        Stage::Checked
     }
 
     /// Makes its depth as certain as others agree, and fuses it with theirs.
@@ -237,10 +218,10 @@ impl LiveDepth {
             let near = self.views(COMPARED, index, |work| work.found.as_ref());
             let certainty = self.scene(poses, &near, Certainty::of_scene);
             let views = self.views(MAX_HELD, index, |work| work.found.as_ref());
-            let depths = self.scene(poses, &views, |scene| {
-                found.certain(scene, index, certainty)
+            let agreed = self.scene(poses, &views, |scene| {
+                agreed(scene, found, index, certainty)
             });
-            self.work[index].agreed = Some(found.with_depths(depths, &self.camera));
+            self.work[index].agreed = Some(agreed);
         }
         Stage::Agreed
     }
@@ -249,26 +230,26 @@ impl LiveDepth {
     fn complete(&mut self, index: usize, poses: &PoseSnapshot) -> Stage {
         if let Some(agreed) = &self.work[index].agreed {
             let views = self.views(MAX_HELD, index, |work| work.agreed.as_ref());
-            let completed = self.scene(poses, &views, |scene| agreed.completed(scene, index));
-            let cloud = Cloud::new(completed.view.as_ref(), &self.camera, &self.config);
-            self.work[index].completed = Some((completed, cloud));
+            let completed = self.scene(poses, &views, |scene| completed(scene, agreed, index));
+            self.work[index].completed = Some(completed);
         }
         Stage::Completed
     }
 
-    /// What of a keyframe is mapped: with walls, floor and ceiling beyond what was measured; nothing where nothing was found.
-    fn enclose(&self, index: usize, poses: &PoseSnapshot) -> KeyframeScan {
+    /// What of a keyframe is mapped; nothing where nothing was found.
+    fn map(&self, index: usize, poses: &PoseSnapshot) -> KeyframeScan {
         let work = &self.work[index];
-        let depths = work.completed().map(|completed| {
-            let views = self.views(MAX_HELD, index, Work::completed);
-            let cloud = |other: usize| Some(&self.work[other].completed.as_ref()?.1);
-            self.scene(poses, &views, |scene| {
-                completed.enclosed(scene, index, cloud)
-            })
+        let Some(completed) = &work.completed else {
+            let store = work.keyframe.pixels.store();
+            return Depths::default().joined(work.keyframe.id, &self.camera, store);
+        };
+        let views = self.views(MAX_HELD, index, |work| {
+            Some(&work.completed.as_ref()?.found)
         });
-        let (id, store) = (work.keyframe.id, work.keyframe.pixels.store());
-        let depths = depths.unwrap_or_default();
-        depths.joined(id, &self.camera, &self.config.rims, store)
+        let cloud = |other: usize| Some(&self.work[other].completed.as_ref()?.cloud);
+        self.scene(poses, &views, |scene| {
+            mapped(scene, completed, index, cloud)
+        })
     }
 
     /// What keyframes have at a stage, by their index, of those around one.
@@ -394,18 +375,18 @@ mod tests {
     }
 
     #[test]
-    fn a_keyframe_is_ready_when_six_more_are_finished_with_depth_as_good_as_that_of_final_maps() {
+    fn a_keyframe_is_ready_when_five_more_are_finished_with_depth_as_good_as_that_of_final_maps() {
         let (count, snapshot) = (11, poses(11));
         let mut live = live();
         let mut ready = Vec::new();
         for id in 0..count {
             live.add(keyframe(id).into());
             let scans = rest(&mut live, &snapshot);
-            let expected: Vec<KeyframeId> = id.checked_sub(6).into_iter().collect();
+            let expected: Vec<KeyframeId> = id.checked_sub(5).into_iter().collect();
             assert_eq!(ids(&scans), expected);
             ready.extend(scans);
         }
-        assert!(live.has_handed_over(4) && !live.has_handed_over(5));
+        assert!(live.has_handed_over(5) && !live.has_handed_over(6));
         let keyframes: Vec<Keyframe> = (0..count).map(keyframe).collect();
         let posed: Vec<PosedKeyframe> = keyframes
             .iter()
@@ -421,7 +402,7 @@ mod tests {
         // the first one has neighbours on one side, of which too few confirm it
         for scan in &ready[1..] {
             // the newest are seen from one side only when they take their steps
-            let share = if scan.id < 4 { 0.95 } else { 0.8 };
+            let share = if scan.id < 5 { 0.95 } else { 0.8 };
             let all = last[scan.id as usize].num_pixels as f64;
             assert!(scan.num_pixels as f64 > share * all, "{}", scan.id);
             // what a single neighbour confirms, until the others are there, is now and then wrong
@@ -442,20 +423,20 @@ mod tests {
         assert_eq!(next(&[(0..2, Stage::Matched)]), Some(0));
         let two = [(0..1, Stage::Found), (1..3, Stage::Matched)];
         assert_eq!(next(&two), Some(1));
-        let three = [(4..5, Stage::Checked), (5..9, Stage::Matched)];
+        let three = [(4..5, Stage::Agreed), (5..9, Stage::Matched)];
         assert_eq!(next(&three), Some(5));
-        let four = [(4..6, Stage::Checked), (6..9, Stage::Found)];
+        let four = [(4..6, Stage::Agreed), (6..9, Stage::Found)];
         assert_eq!(next(&four), Some(4));
         let last_steps = [
             (0..1, Stage::Completed),
             (1..4, Stage::Agreed),
-            (4..9, Stage::Checked),
+            (4..9, Stage::Found),
         ];
         assert_eq!(next(&last_steps), Some(1));
         let last_step = [
             (0..2, Stage::Completed),
             (2..4, Stage::Agreed),
-            (4..9, Stage::Checked),
+            (4..9, Stage::Found),
         ];
         assert_eq!(next(&last_step), Some(0));
         assert_eq!(next(&[(0..9, Stage::Ready)]), None);

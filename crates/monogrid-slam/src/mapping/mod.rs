@@ -13,13 +13,11 @@
 //! the graph: keyframes of which some measurement moved by at least `follow_threshold` cells, or that got other depth, are moved in a second
 //! map, one per step, which takes the place of the first when all are done. As long as there are no readers nothing is integrated. At the end all that
 //! is pending is done on all threads, with depth refined, or made dense, at the final poses ([`final_scans`]); the final maps do
-//! not depend on how far the live ones had come. Where no keyframe can see it, what *global* has for occupied is unknown again
-//! ([`Mapper::forget_unseen`]).
+//! not depend on how far the live ones had come.
 //!
 //! Maps are z up ([`z_up_from_camera_world`]) unless the caller gives another frame, such as that in which the scene is
 //! level ([`upright()`]).
 
-mod agreement;
 mod band;
 mod body;
 mod cell;
@@ -27,19 +25,20 @@ mod certainty;
 mod completion;
 mod config;
 mod dense;
-mod envelope;
 mod fill;
 mod fusion;
 mod live_depth;
 mod maps;
+mod planes;
 mod posed;
 mod refine;
-mod rims;
 mod scan;
+mod stages;
 #[cfg(test)]
 mod test_wall;
 mod transfer;
 mod upright;
+mod view;
 
 pub use band::navigation_band;
 pub use body::camera_paths;
@@ -47,18 +46,17 @@ pub use cell::{CellReason, SceneCell, scene_cell};
 pub use completion::CompletionConfig;
 pub use config::{
     AutoLength, DenseMappingConfig, DepthFilterConfig, FillConfig, FusionConfig, MapQuality,
-    MappingConfig, MeshConfig, RefineConfig, SensorModelKind, UnseenConfig,
+    MappingConfig, MeshConfig, RefineConfig, SensorModelKind,
 };
-pub use envelope::{EnvelopeConfig, StraightenConfig};
 pub use fill::fill_plain_regions;
 pub use maps::{
     LiveMaps, LiveView, MapReader, MapStats, Mapper, Maps, Waiting, z_up_from_camera_world,
 };
 pub use monogrid_occupancy::{AndertForm, IntegrationRule, SigmaMode, ThrunForm};
+pub use planes::PlanesConfig;
 pub use posed::{DepthOf, ImageOf, PosedKeyframe};
 pub(crate) use refine::final_scans_of;
 pub use refine::{final_scans, refined_depths};
-pub use rims::RimConfig;
 pub use scan::{KeyframeCamera, KeyframeScan};
 pub use upright::{
     Floor, Upright, UprightConfig, UprightView, floor_below, level_from_world, upright,

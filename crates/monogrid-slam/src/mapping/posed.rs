@@ -1,6 +1,6 @@
 //! Keyframes at their final poses, in memory or where there is room.
 
-use super::agreement::View;
+use super::view::View;
 use super::{KeyframeCamera, MappingConfig};
 use crate::{DepthPixel, KeptKeyframe, KeyframeId, PoseSnapshot};
 use monogrid_geometry::Sim3;
@@ -75,7 +75,8 @@ pub enum DepthOf<'a> {
 }
 
 impl<'a> DepthOf<'a> {
-    /// The depth; none where it cannot be read back.
+    /// The depth; none where it cannot be read back, which is an error in the end
+    /// ([`crate::Slam::check_spilled`]).
     #[must_use]
     pub fn get(self) -> Cow<'a, [DepthPixel]> {
         match self {
@@ -102,7 +103,15 @@ pub(super) struct Neighbour {
     pub neighbour_from_keyframe: Sim3,
 }
 
-impl Scene<'_> {
+impl<'a> Scene<'a> {
+    /// The keyframes with what each of them has by now.
+    pub fn seeing<'b>(&self, views: &'b [Option<View>]) -> Scene<'b>
+    where
+        'a: 'b,
+    {
+        Scene { views, ..*self }
+    }
+
     /// The other keyframes with image and pose that have a cost, given where they are (`neighbour_from_keyframe`): so many, the
     /// cheapest first, equal ones in their order.
     pub fn neighbours(

@@ -1,36 +1,26 @@
-//! Better depth of all keyframes, when the poses are known in the end.
-//!
-//! In this order: dense depth beside that of the filter (`dense`) → both made better by the images around (`refine_depth`) → what is
-//! precise enough, and plain surfaces between it (`scan`, `fill`) → filled depth that others contradict taken out (`agreement`) →
-//! uncertainty as the agreement of keyframes has it (`certainty`) → one depth from all that see the same (`fusion`) → depth where a keyframe
-//! has none from those that see the same (`completion`) → walls, floor and ceiling beyond what was measured of them, and what lies on them
-//! put on them (`envelope`) → less certain beside what is farther (`rims`).
+//! Better depth of all keyframes, when the poses are known in the end: they take the `stages`
+//! together. And depth made better by the images of the keyframes around.
 
-use super::agreement::{Blocks, View, kept};
 use super::certainty::Certainty;
-use super::completion::completed;
-use super::dense::{dense_depths, merged};
-use super::envelope::{Cloud, Surroundings, enclosed, straightened};
-use super::fusion::fused;
+use super::dense::neighbours;
 use super::posed::{Neighbour, PosedKeyframe, Scene};
-use super::scan::{Depths, KeptDepths};
+use super::stages::{Found, agreed, completed, found, mapped, matched};
+use super::view::View;
 use super::{KeyframeCamera, KeyframeScan, MappingConfig, RefineConfig};
 use crate::DepthPixel;
 use crate::fault;
 use crate::median::median;
-use crate::store::{Kept, Store};
-use monogrid_depth::{DenseDepth, PixelDepth, SourceView, epipolar_misfits, refine_depth};
+use crate::store::Store;
+use monogrid_depth::{PixelDepth, SourceView, epipolar_misfits, refine_depth};
 use monogrid_geometry::Sim3;
 use monogrid_image::Image;
+use rayon::prelude::*;
 use std::borrow::Cow;
-use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::thread;
 
 /// What of each keyframe is mapped: its depth, with dense depth ([`monogrid_depth::dense_depth`]) and made better by the images of the
 /// keyframes around it ([`monogrid_depth::refine_depth`]) if the settings ask for it, filtered and filled as
-/// [`KeyframeScan::new`] does, without filled depth that other keyframes contradict (module `agreement`).
+/// [`KeyframeScan::new`] does.
 ///
 /// The result does not depend on the number of threads.
 #[must_use]
@@ -61,181 +51,47 @@ pub(crate) fn final_scans_of(
         config,
         threads,
     };
+    let count = keyframes.len();
     let is_dense = config.quality.has_dense_depth();
-    let dense = match is_dense {
-        true => dense_depths(&scene, store),
-        false => vec![None; keyframes.len()],
-    };
-    let found = for_each_keyframe(keyframes.len(), threads, |index| {
-        let dense = dense[index].as_ref().and_then(Kept::get);
-        let found = Found::of_keyframe(&scene, index, dense.as_deref(), store);
+    let neighbours = for_each_keyframe(count, threads, |index| match is_dense {
+        true => neighbours(&scene, index),
+        false => Vec::new(),
+    });
+    let dense = for_each_keyframe(count, threads, |index| match is_dense {
+        true => matched(&scene, index, &neighbours[index], store),
+        false => None,
+    });
+    let found = for_each_keyframe(count, threads, |index| {
+        let dense = |index: usize| dense[index].as_ref()?.get();
+        let found = found(&scene, index, &neighbours[index], dense, store);
         done.fetch_add(1, Ordering::Relaxed);
         found
     });
-    let found = each(&scene, found, Found::without_contradicted);
-    let certainty = Certainty::of_scene(&Scene {
-        views: &views(&found),
-        ..scene
+    drop(dense);
+    let views = views_of(&found, |found| found);
+    let seen = scene.seeing(&views);
+    let certainty = Certainty::of_scene(&seen);
+    let agreed = for_each_keyframe(count, threads, |index| {
+        agreed(&seen, &found[index], index, certainty)
     });
-    let hand_over = |depths: Depths, index: usize| {
-        depths.joined(keyframes[index].id, camera, &config.rims, store)
-    };
-    if !is_dense {
-        return each(&scene, found, |this, scene, index| {
-            hand_over(this.certain(scene, index, certainty), index)
-        });
-    }
-    let found = each(&scene, found, |this, scene, index| {
-        this.with_depths(this.certain(scene, index, certainty), camera)
+    drop((views, found));
+    let views = views_of(&agreed, |agreed| agreed);
+    let seen = scene.seeing(&views);
+    let completed = for_each_keyframe(count, threads, |index| {
+        completed(&seen, &agreed[index], index)
     });
-    let found = each(&scene, found, Found::completed);
-    let clouds = for_each_keyframe(found.len(), threads, |index| {
-        Cloud::new(found[index].view.as_ref(), camera, config)
-    });
-    each(&scene, found, |this, scene, index| {
-        let depths = this.enclosed(scene, index, |other| clouds.get(other));
-        hand_over(depths, index)
+    drop((views, agreed));
+    let views = views_of(&completed, |completed| &completed.found);
+    let seen = scene.seeing(&views);
+    for_each_keyframe(count, threads, |index| {
+        let cloud = |index: usize| Some(&completed.get(index)?.cloud);
+        mapped(&seen, &completed[index], index, cloud)
     })
 }
 
-/// A step that keyframes take together, each beside what was found of all; gives up what was found before.
-fn each<T: Send>(
-    scene: &Scene,
-    found: Vec<Found>,
-    step: impl Fn(&Found, &Scene, usize) -> T + Sync,
-) -> Vec<T> {
-    let views = views(&found);
-    let scene = Scene {
-        views: &views,
-        ..*scene
-    };
-    for_each_keyframe(found.len(), scene.threads, |index| {
-        step(&found[index], &scene, index)
-    })
-}
-
-fn views(found: &[Found]) -> Vec<Option<View>> {
-    found.iter().map(|found| found.view.clone()).collect()
-}
-
-/// What was found of a keyframe. Its view is that of its index among those of a scene.
-#[derive(Clone, Debug)]
-pub(super) struct Found {
-    depths: KeptDepths,
-    /// As others see it, where it has a pose.
-    pub view: Option<View>,
-}
-
-impl Found {
-    /// From its depth by all that the settings ask for.
-    pub fn of_keyframe(
-        scene: &Scene,
-        index: usize,
-        dense: Option<&DenseDepth>,
-        store: &Store,
-    ) -> Self {
-        let Scene { camera, config, .. } = *scene;
-        let (pixels, misfits) = final_pixels(scene, index, dense);
-        let keyframe = &scene.keyframes[index];
-        let image = keyframe.image();
-        // how certain a plane is, keyframes tell together
-        let limit = match config.sigma_from_agreement {
-            true => config.fill.max_stated_sigma,
-            false => config.filter.max_relative_sigma,
-        };
-        let settings = (config, limit);
-        let depths = Depths::new(keyframe.id, &pixels, image.as_deref(), camera, settings);
-        let known = keyframe.world_from_keyframe.zip(Some(misfits.into()));
-        Self::new(depths, known, camera, store)
-    }
-
-    /// `known`: its pose, and how far its patches are beside epipolar lines.
-    fn new(
-        depths: Depths,
-        known: Option<(Sim3, Arc<[f32]>)>,
-        camera: &KeyframeCamera,
-        store: &Store,
-    ) -> Self {
-        let blocks = || Arc::new(Blocks::new(&depths, camera));
-        let known = known.map(|(pose, misfits)| (pose, misfits, blocks()));
-        let depths = KeptDepths::new(store, depths);
-        Self {
-            view: known.map(|(world_from_keyframe, misfits, blocks)| View {
-                depths: depths.clone(),
-                blocks,
-                world_from_keyframe,
-                misfits,
-            }),
-            depths,
-        }
-    }
-
-    /// Without filled depth that others contradict.
-    pub fn without_contradicted(&self, scene: &Scene, index: usize) -> Self {
-        if scene.config.fill.max_witnesses == 0 {
-            return self.clone();
-        }
-        let mut depths = self.depths.depths();
-        if let Some(kept) = kept(scene, index) {
-            let mut kept = kept.into_iter();
-            depths.filled.retain(|_| kept.next().unwrap_or(true));
-            depths.filled.shrink_to_fit();
-        }
-        self.with_depths(depths, scene.camera)
-    }
-
-    /// With other depths.
-    pub fn with_depths(&self, depths: Depths, camera: &KeyframeCamera) -> Self {
-        let view = self.view.as_ref();
-        let known = view.map(|view| (view.world_from_keyframe, view.misfits.clone()));
-        Self::new(depths, known, camera, self.depths.store())
-    }
-
-    /// Its depths, as certain as they are, each fused with those of others that agree.
-    pub fn certain(&self, scene: &Scene, index: usize, certainty: Certainty) -> Depths {
-        let depths = certainty.apply(&self.depths);
-        match scene.config.fusion.max_witnesses {
-            0 => depths,
-            _ => fused(scene, index, depths, certainty),
-        }
-    }
-
-    /// With depth that others have and it has not.
-    pub fn completed(&self, scene: &Scene, index: usize) -> Self {
-        let added = completed(scene, index);
-        self.with_depths(self.depths.depths().with_filled(added), scene.camera)
-    }
-
-    /// Its depths on the large planes that it shares with others, and these planes beyond what was measured of them; `cloud` is what each
-    /// keyframe sees.
-    pub fn enclosed<'a>(
-        &self,
-        scene: &Scene,
-        index: usize,
-        cloud: impl Fn(usize) -> Option<&'a Cloud>,
-    ) -> Depths {
-        let depths = self.depths.depths();
-        let Some(surroundings) = Surroundings::of(scene, index, cloud) else {
-            return depths;
-        };
-        let depths = depths.with_filled(enclosed(scene, index, &surroundings));
-        straightened(scene, index, depths, &surroundings)
-    }
-}
-
-/// Depth of a keyframe, and how far its patches are beside epipolar lines, px.
-type Refined<'a> = (Cow<'a, [DepthPixel]>, Vec<f32>);
-
-/// The depth of one keyframe by all that the settings ask for: with dense depth, then refined.
-fn final_pixels<'a>(scene: &Scene<'a>, index: usize, dense: Option<&DenseDepth>) -> Refined<'a> {
-    let mut pixels = scene.keyframes[index].depth.get();
-    if let Some(dense) = dense {
-        pixels = Cow::Owned(merged(&pixels, dense, scene.camera));
-    }
-    match scene.config.refine.enabled {
-        true => refined(scene, index, pixels),
-        false => (pixels, Vec::new()),
-    }
+/// Keyframes as others see them.
+fn views_of<T>(all: &[T], found: impl Fn(&T) -> &Found) -> Vec<Option<View>> {
+    all.iter().map(|this| found(this).view.clone()).collect()
 }
 
 /// The depth of each keyframe, made better by the images of the keyframes around it, whether or not the
@@ -266,44 +122,35 @@ pub fn refined_depths(
     })
 }
 
-/// Results of independent work in their order, on several threads: each takes the next that nobody has begun. A panic
-/// of one of them goes on in the caller.
+/// Results of independent work in their order, on the threads of the pool if on several: each takes
+/// the next that nobody has begun, so that those under way are neighbours, which share what is in
+/// memory.
 pub(super) fn for_each_keyframe<T: Send>(
     count: usize,
     threads: usize,
     work: impl Fn(usize) -> T + Sync,
 ) -> Vec<T> {
-    let next = AtomicUsize::new(0);
-    let results: Vec<Mutex<Option<T>>> = (0..count).map(|_| Mutex::default()).collect();
-    let of_thread = || {
-        let begun = std::iter::repeat_with(|| next.fetch_add(1, Ordering::Relaxed));
-        for index in begun.take_while(|index| *index < count) {
-            fault::pass("depth");
-            let result = work(index);
-            *results[index]
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner) = Some(result);
-        }
+    let result = |index| {
+        fault::pass("depth");
+        (index, work(index))
     };
-    thread::scope(|scope| {
-        let others = (1..threads.min(count)).map(|_| scope.spawn(of_thread));
-        let others: Vec<_> = others.collect();
-        of_thread();
-        for other in others {
-            if let Err(panic) = other.join() {
-                resume_unwind(panic);
-            }
-        }
-    });
-    // all of them are there: no thread has failed
-    let results = results.into_iter();
-    results
-        .filter_map(|result| result.into_inner().unwrap_or_else(PoisonError::into_inner))
-        .collect()
+    let mut results: Vec<(usize, T)> = match threads {
+        0 | 1 => (0..count).map(result).collect(),
+        _ => (0..count).par_bridge().map(result).collect(),
+    };
+    results.sort_unstable_by_key(|(index, _)| *index);
+    results.into_iter().map(|(_, result)| result).collect()
 }
 
+/// Depth of a keyframe, and how far its patches are beside epipolar lines, px.
+type Refined<'a> = (Cow<'a, [DepthPixel]>, Vec<f32>);
+
 /// Depths of one keyframe, refined by the others; as they were without an image.
-fn refined<'a>(scene: &Scene, index: usize, pixels: Cow<'a, [DepthPixel]>) -> Refined<'a> {
+pub(super) fn refined<'a>(
+    scene: &Scene,
+    index: usize,
+    pixels: Cow<'a, [DepthPixel]>,
+) -> Refined<'a> {
     let Some(image) = scene.keyframes[index].image() else {
         return (pixels, Vec::new());
     };

@@ -2,7 +2,6 @@
 //!
 //! What is not precise enough is left out here and not by the depth filter: recordings keep all depth, for maps by other rules.
 
-use super::rims::{RimConfig, uncertain_at_rims};
 use super::{DepthFilterConfig, MappingConfig, fill_plain_regions};
 use crate::store::{Kept, Store};
 use crate::{DepthPixel, KeyframeId};
@@ -76,7 +75,7 @@ impl KeyframeScan {
     ) -> Self {
         let limit = config.filter.max_relative_sigma;
         let depths = Depths::new(id, pixels, image, camera, (config, limit));
-        depths.joined(id, camera, &config.rims, &Store::default())
+        depths.joined(id, camera, &Store::default())
     }
 
     /// A scan of these measurements, row-major, in units of the keyframe; `num_filled` of them were not measured. They stay in memory.
@@ -130,8 +129,9 @@ impl KeyframeScan {
         Self::kept(self.id, self.camera, (pixels, 0), self.pixels.store())
     }
 
-    /// Its measurements, row-major, in units of the keyframe, in memory as long as this is held; none where they cannot be read back
-    /// ([`crate::Slam::spill_failure`]).
+    /// Its measurements, row-major, in units of the keyframe, in memory as long as this is held;
+    /// none where they cannot be read back, which is an error in the end
+    /// ([`crate::Slam::check_spilled`]).
     #[must_use]
     pub fn pixels(&self) -> Arc<Vec<Measurement>> {
         self.pixels.get().unwrap_or_default()
@@ -214,19 +214,12 @@ impl Depths {
         self
     }
 
-    /// Both together as they are mapped: less certain at the rims of what is nearer.
-    pub fn joined(
-        self,
-        id: KeyframeId,
-        camera: &KeyframeCamera,
-        rims: &RimConfig,
-        store: &Store,
-    ) -> KeyframeScan {
-        let depths = uncertain_at_rims(self, camera, rims);
-        let num_filled = depths.filled.len();
-        let mut pixels = depths.measured;
+    /// Both together as they are mapped.
+    pub fn joined(self, id: KeyframeId, camera: &KeyframeCamera, store: &Store) -> KeyframeScan {
+        let num_filled = self.filled.len();
+        let mut pixels = self.measured;
         pixels.reserve_exact(num_filled);
-        pixels.extend(depths.filled);
+        pixels.extend(self.filled);
         if num_filled > 0 {
             pixels.sort_unstable_by_key(|p| (p.y, p.x));
         }
@@ -260,7 +253,8 @@ impl KeptDepths {
         self.measured.store()
     }
 
-    /// What was measured, and what was filled in; none where it cannot be read back.
+    /// What was measured, and what was filled in; none where it cannot be read back, which is an
+    /// error in the end ([`crate::Slam::check_spilled`]).
     pub fn kinds(&self) -> [Arc<Vec<Measurement>>; 2] {
         [self.measured.get().unwrap_or_default(), self.filled()]
     }

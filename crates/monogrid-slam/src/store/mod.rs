@@ -19,6 +19,7 @@ mod tests;
 use self::packed::pack_any;
 pub(crate) use self::packed::{Keepable, Measured};
 use self::shelves::Shelves;
+pub use self::shelves::SpillError;
 pub(crate) use self::shelves::StoreBytes;
 use crate::config::MemoryConfig;
 use std::any::Any;
@@ -89,6 +90,14 @@ impl Store {
     /// What went wrong with the file first, if anything did.
     pub(crate) fn failure(&self) -> Option<String> {
         self.shelves().failure.clone()
+    }
+
+    /// Whether all that was asked for came back.
+    ///
+    /// # Errors
+    /// A value could not be read back, and what was made without it is wrong.
+    pub(crate) fn check(&self) -> Result<(), SpillError> {
+        self.shelves().lost.clone().map_or(Ok(()), Err)
     }
 
     fn kept<T>(&self, number: u64, origin: Origin<T>) -> Kept<T> {

@@ -23,6 +23,14 @@ pub(crate) struct StoreBytes {
     pub file: usize,
 }
 
+/// A keyframe is lost that lay in the file for those that are not in memory.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "a keyframe cannot be read back from the file for those that are not in memory: {0}; write to another disk, or keep more of them \
+     in memory (slam.memory.keyframes_mb)"
+)]
+pub struct SpillError(String);
+
 /// How a value leaves memory.
 #[derive(Clone, Copy, Debug)]
 enum Kind {
@@ -64,6 +72,8 @@ pub(super) struct Shelves {
     scratch: Option<Scratch>,
     /// What went wrong with the file first.
     pub(super) failure: Option<String>,
+    /// The first value that could not be read back.
+    pub(super) lost: Option<SpillError>,
 }
 
 const MEGABYTE: f64 = 1e6;
@@ -202,9 +212,9 @@ impl Shelves {
         match self.scratch.as_mut()?.read(&place) {
             Ok(bytes) => Some(bytes),
             Err(error) => {
-                self.note(&format!(
-                    "a keyframe cannot be read back from the file for those that are not in memory: {error}"
-                ));
+                let lost = SpillError(error.to_string());
+                self.note(&lost.to_string());
+                self.lost.get_or_insert(lost);
                 None
             }
         }

@@ -129,6 +129,8 @@ fn a_damaged_file_is_told_and_does_no_other_harm() {
     file.write_all(&[255; 20]).unwrap();
     assert!(kept[0].get().is_none() && image.get().is_none());
     assert!(store.failure().unwrap().contains("cannot be read back"));
+    let lost = store.check().unwrap_err().to_string();
+    assert!(lost.contains("cannot be read back") && lost.contains("keyframes_mb"));
     assert_eq!(*kept[1].get().unwrap(), pixels(1));
 }
 
@@ -141,6 +143,8 @@ fn a_file_that_cannot_be_written_keeps_values_in_memory() {
     store.spill_into(File::open(path).unwrap());
     let kept: Vec<Kept<Vec<DepthPixel>>> = (0..3).map(|id| store.keep(pixels(id))).collect();
     assert!(store.failure().unwrap().contains("stay in memory"));
+    // nothing is lost
+    assert_eq!(store.check(), Ok(()));
     for (id, kept) in (0..).zip(&kept) {
         assert_eq!(*kept.get().unwrap(), pixels(id));
     }

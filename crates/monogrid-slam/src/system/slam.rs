@@ -10,6 +10,7 @@ use crate::map::{Counts, Event, Map, parts};
 use crate::mapping::{KeyframeScan, MappingConfig, PosedKeyframe, final_scans_of};
 use crate::report::Stopwatch;
 use crate::start::Start;
+use crate::store::SpillError;
 use crate::store::Store;
 use crate::{
     Bridge, Fragment, FragmentId, InertialPath, KeptKeyframe, KeyframeId, MAIN_MAP, MapSize,
@@ -181,10 +182,19 @@ impl Slam {
         KeyframeRoom(self.map.store().clone())
     }
 
-    /// What went wrong with that file first, if anything did: results are then made without the keyframes that cannot be read back.
+    /// What went wrong with that file first, if anything did.
     #[must_use]
     pub fn spill_failure(&self) -> Option<String> {
         self.map.store().failure()
+    }
+
+    /// Whether all keyframes that were asked for came back from that file. Depth that does not is
+    /// missing in what was made meanwhile, so whoever hands over maps asks this last.
+    ///
+    /// # Errors
+    /// A keyframe could not be read back.
+    pub fn check_spilled(&self) -> Result<(), SpillError> {
+        self.map.store().check()
     }
 
     /// The depth of all finished keyframes as it is mapped in the end ([`crate::mapping::final_scans`]) at the newest poses, by identity; it

@@ -300,13 +300,15 @@ fn print_cells(report: &MapReport) {
         "observed: {} of the free and {} of the occupied cells; {} cells beyond the truth",
         shares[0], shares[1], report.observed_outside
     );
-    if let (Some(free), Some(occupied)) = (
+    if let (Some(free), Some(occupied), Some(known)) = (
         report.coverage_free_in_view,
         report.coverage_occupied_in_view,
+        &report.known_in_view,
     ) {
         let [free, occupied] = [free, occupied].map(percent);
         println!(
-            "of those that a keyframe looks at: {free} of the free and {occupied} of the occupied cells"
+            "of those that a keyframe looks at: {free} of the free and {occupied} of the occupied cells; known: AUC {:.4}, MCC {:.4}",
+            known.auc, known.mcc
         );
     }
     let surface = &report.surface;

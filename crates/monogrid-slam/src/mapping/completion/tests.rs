@@ -1,9 +1,9 @@
 //! A textured wall that keyframes side by side see.
 
 use super::*;
-use crate::mapping::agreement::View;
 use crate::mapping::scan::Depths;
 use crate::mapping::test_wall::{CAMERA, wall};
+use crate::mapping::view::View;
 use crate::mapping::{DepthOf, ImageOf, MappingConfig, PosedKeyframe};
 use monogrid_geometry::{Rotation, Sim3, Vec3};
 

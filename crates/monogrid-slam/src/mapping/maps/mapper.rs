@@ -4,8 +4,8 @@ use super::super::{AutoLength, KeyframeCamera, KeyframeScan, MappingConfig, Sens
 use monogrid_geometry::nalgebra::{Matrix3, Rotation3};
 use monogrid_geometry::{Rotation, Sim3, Vec3};
 use monogrid_occupancy::{
-    CameraView, DepthPixel as Measurement, DepthScan, IntegrationConfig, MapError, OccupancyMap,
-    PointScan, PoseSigma, Scan, ScanData, Similarity, UnseenLimits, integrate, integrate_scans,
+    DepthPixel as Measurement, DepthScan, IntegrationConfig, MapError, OccupancyMap, PointScan,
+    PoseSigma, Scan, ScanData, Similarity, integrate, integrate_scans,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -113,34 +113,6 @@ impl Mapper {
             }
         }
         Ok(())
-    }
-
-    /// Makes occupied cells of a finished map unknown that none of these keyframes can see (`unseen`).
-    ///
-    /// # Errors
-    /// A map that would exceed its memory.
-    pub fn forget_unseen(
-        &self,
-        map: &mut OccupancyMap,
-        map_from_keyframes: impl Iterator<Item = (KeyframeCamera, Sim3)>,
-    ) -> Result<(), MapError> {
-        let config = &self.config.unseen;
-        if config.max_behind <= 0.0 {
-            return Ok(());
-        }
-        let views = map_from_keyframes.map(|(camera, map_from_keyframe)| CameraView {
-            world_from_camera: similarity(&map_from_keyframe),
-            size: [camera.width as u32, camera.height as u32],
-            focal: [camera.pinhole.fx, camera.pinhole.fy],
-            principal: [camera.pinhole.cx, camera.pinhole.cy],
-        });
-        let views: Vec<CameraView> = views.collect();
-        let limits = UnseenLimits {
-            max_behind: config.max_behind,
-            max_behind_share: config.max_behind_share,
-            max_beside: config.max_beside as i32,
-        };
-        map.forget_unseen(&views, &limits, self.threads).map(|_| ())
     }
 
     /// A scan at a pose as the occupancy map takes it.

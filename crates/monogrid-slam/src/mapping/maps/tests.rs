@@ -498,24 +498,3 @@ fn keyframes_of_a_fragment_are_mapped_once_it_is_joined() {
         assert!(bytes(&maps.global) == bytes(&expected));
     }
 }
-
-#[test]
-fn what_no_keyframe_sees_is_unknown_in_the_end_unless_all_cells_stay() {
-    let z_up = z_up_from_camera_world();
-    let ghost = |max_behind: f64| {
-        let mut config = config();
-        config.unseen.max_behind = max_behind;
-        let mapper = Mapper::new(config, 1);
-        let (mut map, _) = mapper.build(&[wall(0)], &[Some(pose(0.0))], &z_up).unwrap();
-        // a metre behind the wall, which is two metres away
-        let behind = map.key([3.0, 0.05, 0.05]).unwrap();
-        let wall = map.key([2.05, 0.05, 0.05]).unwrap();
-        map.set_log_odds(behind, Some(2.0)).unwrap();
-        let keyframes = std::iter::once((CAMERA, z_up * pose(0.0)));
-        mapper.forget_unseen(&mut map, keyframes).unwrap();
-        [wall, behind].map(|key| map.state_of(key))
-    };
-    assert_eq!(ghost(5.0), [Occupancy::Occupied, Occupancy::Unknown]);
-    assert_eq!(ghost(12.0), [Occupancy::Occupied, Occupancy::Occupied]);
-    assert_eq!(ghost(0.0), [Occupancy::Occupied, Occupancy::Occupied]);
-}

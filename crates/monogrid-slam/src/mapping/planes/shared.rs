@@ -1,10 +1,9 @@
 //! Large planes that keyframes around one share, and which of them bound its view.
 
-use super::EnvelopeConfig;
 use super::extent::Extent;
-use crate::mapping::agreement::View;
 use crate::mapping::fill::{Plane, planes_of_image};
 use crate::mapping::posed::Scene;
+use crate::mapping::view::View;
 use crate::mapping::{KeyframeCamera, MappingConfig};
 use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 use monogrid_occupancy::DepthPixel as Measurement;
@@ -16,6 +15,12 @@ const MAX_WITNESSES: usize = 16;
 const MAX_POINTS: usize = 1000;
 /// Depths of a keyframe in which planes are looked for, at most.
 const MAX_DEPTHS: usize = 4000;
+/// Share of the depth of all keyframes on a large plane, at least.
+const MIN_SHARE: f64 = 0.02;
+/// Depth is on a plane that is off by at most this share of the range.
+const REACH: f64 = 0.015;
+/// Share of the depth around a keyframe that may be behind a plane that bounds its view.
+const MAX_BEHIND_SHARE: f64 = 0.02;
 /// A point is behind a plane that is so far behind it, as a share of its range.
 const BEHIND: f64 = 0.05;
 /// Relative standard deviation of the depth of a point.
@@ -54,7 +59,12 @@ impl Hypothesis {
         self.normal.dot(in_world) - self.offset
     }
 
-    fn has(&self, point: &Point, reach: f64) -> bool {
+    fn has(&self, point: &Point) -> bool {
+        self.is_near(point, REACH)
+    }
+
+    /// Whether a point is off by at most this share of its range.
+    fn is_near(&self, point: &Point, reach: f64) -> bool {
         self.height(&point.in_world).abs() <= reach * point.range
     }
 }
@@ -62,7 +72,7 @@ impl Hypothesis {
 impl Cloud {
     /// Of a keyframe; nothing without a pose, or where nobody looks for planes.
     pub fn new(view: Option<&View>, camera: &KeyframeCamera, config: &MappingConfig) -> Self {
-        let Some(view) = view.filter(|_| config.envelope.max_planes > 0) else {
+        let Some(view) = view.filter(|_| config.planes.max_count > 0) else {
             return Self::default();
         };
         let kinds = view.depths.kinds();
@@ -104,8 +114,9 @@ pub(super) struct SharedPlane {
     /// Of its height at (u, v, 1) from the middle along the axes.
     covariance: Matrix3<f64>,
     extent: Extent,
-    /// How flat what lies on it is: share of the points within reach of it that lie within a third of that. A wall has 0.7 to 0.95 in rendered
-    /// rooms, a plane that passes through what stands around, or a curtain, 0.35 to 0.65.
+    /// How flat what lies on it is: share of the points within reach of it that lie within a third
+    /// of that. A wall has 0.7 to 0.95 in rendered rooms, a plane that passes through what stands
+    /// around, or a curtain, 0.35 to 0.65.
     pub concentration: f64,
 }
 
@@ -116,49 +127,50 @@ pub(in crate::mapping) struct Surroundings<'a> {
 }
 
 impl<'a> Surroundings<'a> {
-    /// Those of a keyframe with a pose, where planes are looked for; `cloud` is what each keyframe sees.
+    /// Those of a keyframe with a pose, where planes are looked for; `cloud` is what each keyframe
+    /// sees.
     pub fn of(
         scene: &Scene,
         index: usize,
         cloud: impl Fn(usize) -> Option<&'a Cloud>,
     ) -> Option<Self> {
-        let config = &scene.config.envelope;
+        let max_count = scene.config.planes.max_count;
         let view = scene.views[index].as_ref();
-        let view = view.filter(|_| config.max_planes > 0)?;
+        let view = view.filter(|_| max_count > 0)?;
         let around = scene.witnesses(index, MAX_WITNESSES).into_iter();
         let around = around.map(|(other, _)| other).chain([index]);
         let clouds: Vec<&Cloud> = around.filter_map(cloud).collect();
-        let planes = large_planes(&clouds, &view.world_from_keyframe.translation, config);
+        let planes = large_planes(&clouds, &view.world_from_keyframe.translation, max_count);
         Some(Self { clouds, planes })
     }
 
     /// The planes that bound what the keyframe sees: those that nothing lies behind.
-    pub(super) fn bounding(&self, config: &EnvelopeConfig) -> Vec<&SharedPlane> {
+    pub(super) fn bounding(&self) -> Vec<&SharedPlane> {
         let points = || self.clouds.iter().flat_map(|cloud| &cloud.points);
         let total = points().count() as f64;
         let bounds = |plane: &&SharedPlane| {
             let is_behind = |p: &&Point| plane.equation.height(&p.in_world) < -BEHIND * p.range;
             let behind = points().filter(is_behind).count();
-            behind as f64 <= config.max_behind_share * total
+            behind as f64 <= MAX_BEHIND_SHARE * total
         };
         self.planes.iter().filter(bounds).collect()
     }
 }
 
-/// Planes with much of the depth of several keyframes: that which a keyframe sees and most of it lies on, fitted to all, then the next
-/// without its points.
-fn large_planes(clouds: &[&Cloud], center: &Vec3, config: &EnvelopeConfig) -> Vec<SharedPlane> {
+/// Planes with much of the depth of several keyframes: that which a keyframe sees and most of it
+/// lies on, fitted to all, then the next without its points.
+fn large_planes(clouds: &[&Cloud], center: &Vec3, max_count: usize) -> Vec<SharedPlane> {
     let mut left: Vec<Vec<Point>> = clouds.iter().map(|cloud| cloud.points.clone()).collect();
     let total: usize = left.iter().map(Vec::len).sum();
-    let min_count = f64::max(config.min_share * total as f64, MIN_POINTS as f64) as usize;
+    let min_count = f64::max(MIN_SHARE * total as f64, MIN_POINTS as f64) as usize;
     let count = |points: &[Vec<Point>], hypothesis: &Hypothesis| -> usize {
-        let has = |point: &&Point| hypothesis.has(point, config.reach);
+        let has = |point: &&Point| hypothesis.has(point);
         points.iter().flatten().filter(has).count()
     };
     let hypotheses = clouds.iter().flat_map(|cloud| &cloud.planes);
     let mut scored: Vec<(usize, Hypothesis)> = hypotheses.map(|h| (count(&left, h), *h)).collect();
     let mut planes = Vec::new();
-    while planes.len() < config.max_planes {
+    while planes.len() < max_count {
         // the first of equal ones
         let best = scored.iter().enumerate().rev().max_by_key(|(_, h)| h.0);
         let Some((best, (score, hypothesis))) = best.map(|(index, best)| (index, *best)) else {
@@ -168,10 +180,10 @@ fn large_planes(clouds: &[&Cloud], center: &Vec3, config: &EnvelopeConfig) -> Ve
             break;
         }
         scored.swap_remove(best);
-        let Some(plane) = SharedPlane::through(&left, hypothesis, center, config) else {
+        let Some(plane) = SharedPlane::through(&left, hypothesis, center) else {
             continue;
         };
-        let is_on = |point: &mut Point| plane.equation.has(point, config.reach);
+        let is_on = |point: &mut Point| plane.equation.has(point);
         let taken = left.iter_mut().map(|p| p.extract_if(.., is_on).collect());
         let taken: Vec<Vec<Point>> = taken.collect();
         for (score, hypothesis) in &mut scored {
@@ -184,15 +196,10 @@ fn large_planes(clouds: &[&Cloud], center: &Vec3, config: &EnvelopeConfig) -> Ve
 
 impl SharedPlane {
     /// The plane that the points on a hypothesis lie on.
-    fn through(
-        points: &[Vec<Point>],
-        hypothesis: Hypothesis,
-        center: &Vec3,
-        config: &EnvelopeConfig,
-    ) -> Option<Self> {
+    fn through(points: &[Vec<Point>], hypothesis: Hypothesis, center: &Vec3) -> Option<Self> {
         let on = |plane: &Hypothesis| -> Vec<Vec<Point>> {
             let on = |points: &Vec<Point>| {
-                let on = points.iter().filter(|p| plane.has(p, config.reach));
+                let on = points.iter().filter(|p| plane.has(p));
                 on.copied().collect()
             };
             points.iter().map(on).collect()
@@ -204,14 +211,15 @@ impl SharedPlane {
             plane = Self::fitted(&on_plane, center)?;
         }
         let points = || on_plane.iter().flatten();
-        let close = points().filter(|p| plane.equation.has(p, CLOSE * config.reach));
+        let close = points().filter(|p| plane.equation.is_near(p, CLOSE * REACH));
         plane.concentration = close.count() as f64 / points().count() as f64;
         let in_plane = points().map(|p| plane.in_plane(&p.in_world));
         plane.extent = Extent::of(&in_plane.collect::<Vec<_>>());
         Some(plane)
     }
 
-    /// Total least squares. The points of one keyframe are off together: each keyframe counts as one point as certain as those.
+    /// Total least squares. The points of one keyframe are off together: each keyframe counts as
+    /// one point as certain as those.
     fn fitted(points: &[Vec<Point>], center: &Vec3) -> Option<Self> {
         let all = || points.iter().flatten();
         let weight = |point: &Point| 1.0 / (RELATIVE_SIGMA * point.range).powi(2);

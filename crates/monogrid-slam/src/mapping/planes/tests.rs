@@ -1,12 +1,14 @@
 //! The corner of a room.
 
+use super::continued::is_line;
 use super::*;
-use crate::mapping::agreement::View;
-use crate::mapping::scan::Depths;
+use crate::mapping::MappingConfig;
 use crate::mapping::test_wall::CAMERA;
+use crate::mapping::view::View;
 use crate::mapping::{DepthOf, ImageOf, PosedKeyframe};
 use monogrid_geometry::{Rng, Rotation, Sim3, Vec3};
 use monogrid_image::Image;
+use monogrid_occupancy::DepthPixel as Measurement;
 
 /// Distance of the wall ahead.
 const AHEAD: f64 = 2.0;
@@ -91,7 +93,7 @@ fn added(image: &Image<u8>, idepth: impl Fn(u16, u16) -> Option<f64>) -> Vec<Mea
     };
     let config = MappingConfig::default();
     let mut added = with_planes(image, &depths, &config, |scene, surroundings| {
-        enclosed(scene, 0, surroundings)
+        continued(scene, 0, surroundings)
     });
     for pixel in &mut added {
         pixel.idepth /= UNIT as f32;
@@ -100,8 +102,9 @@ fn added(image: &Image<u8>, idepth: impl Fn(u16, u16) -> Option<f64>) -> Vec<Mea
     added
 }
 
-/// Depths before and after those on large planes were put on them, half of them measured, half filled. Some pixels have none, so that the points
-/// that tell planes are not all in the same columns.
+/// Depths before and after those on large planes were put on them, half of them measured, half
+/// filled. Some pixels have none, so that the points that tell planes are not all in the same
+/// columns.
 fn straight(
     config: &MappingConfig,
     idepth: impl Fn(u16, u16) -> Option<f64>,
@@ -125,7 +128,8 @@ fn noise(u: u16, v: u16) -> f64 {
     2.0 * rng.uniform() - 1.0
 }
 
-/// Both walls, but for the corner, where nothing was measured between columns 106 and 145, rows 30 and 100.
+/// Both walls, but for the corner, where nothing was measured between columns 106 and 145, rows 30
+/// and 100.
 fn without_corner(u: u16, v: u16) -> Option<f64> {
     let is_open = (106..145).contains(&u) && (30..100).contains(&v);
     (!is_open).then(|| idepth(u.into()))
@@ -165,7 +169,8 @@ fn a_plain_region_beyond_an_edge_may_be_another_surface() {
     // the upper half is a ceiling that nobody measured, or the wall goes on
     let lower = |_: u16, v: u16| (v >= 60).then_some(1.0 / AHEAD);
     assert!(added(&plain(), lower).is_empty());
-    // where there is texture, it is as far as planes are continued: 0.15 of the range is 21 px of 140
+    // where there is texture, it is as far as planes are continued: 0.15 of the range is 21 px of
+    // 140
     let added = added(&textured(), lower);
     let first = added.iter().map(|p| p.y).min().unwrap();
     assert!((34..48).contains(&first), "{first}");
@@ -217,7 +222,8 @@ fn noise_of_a_wall_is_averaged_away_and_half_of_the_deviation_stays() {
         inside.iter().map(|p| of(p).powi(2)).sum::<f64>() / inside.len() as f64
     };
     let (before, after) = (square(&|p| error(&p.0)), square(&|p| error(&p.1)));
-    // 36 and 100 parts: what is left of a pixel is 0.26 of its error, but where no point told the plane
+    // 36 and 100 parts: what is left of a pixel is 0.26 of its error, but where no point told the
+    // plane
     assert!(after < 0.2 * before, "{before} {after}");
     let moved: Vec<_> = inside.iter().filter(|p| p.0 != p.1).collect();
     assert!(10 * moved.len() > 9 * inside.len());
@@ -275,14 +281,8 @@ fn what_is_not_flat_or_alone_stays() {
     let curtain = |u: u16, _: u16| Some((1.0 + 0.014 * (f64::from(u) / 3.0).sin()) / AHEAD);
     assert!(straight(&config, curtain).iter().all(|(a, b)| a == b));
     // as flat as it takes to be a wall
-    let flatter = MappingConfig {
-        straighten: StraightenConfig {
-            min_concentration: 0.1,
-            ..config.straighten
-        },
-        ..config.clone()
-    };
-    let moved = straight(&flatter, curtain);
+    let flatter = |u: u16, _: u16| Some((1.0 + 0.004 * (f64::from(u) / 3.0).sin()) / AHEAD);
+    let moved = straight(&config, flatter);
     assert!(moved.iter().filter(|(a, b)| a != b).count() > moved.len() / 2);
     // one pixel far from where the wall was measured
     let alone = |u: u16, v: u16| (u < 60 || (u, v) == (150, 60)).then_some(1.0 / AHEAD);
@@ -295,9 +295,9 @@ fn what_is_not_flat_or_alone_stays() {
 #[test]
 fn nothing_is_moved_if_the_settings_do_not_ask_for_it() {
     let config = MappingConfig {
-        straighten: StraightenConfig {
+        planes: PlanesConfig {
             relative_sigma: 0.0,
-            ..StraightenConfig::default()
+            ..PlanesConfig::default()
         },
         ..MappingConfig::default()
     };

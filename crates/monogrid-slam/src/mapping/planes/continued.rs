@@ -1,35 +1,31 @@
-//! Walls, floor and ceiling beyond what was measured of them, and depth that lies on them put on them ([`straight`]).
+//! Walls, floor and ceiling beyond what was measured of them.
 //!
-//! What plain regions are filled with ends with their outline, and what only the rim of an image shows no other image measures. But a wall
-//! goes on until the next one. Large planes that a keyframe shares with others around it are found in their depth together ([`planes`]). Those that nothing lies behind
-//! bound its view: the nearest of them on a line of sight is the last that it can meet.
-//! A region without depth whose outline lies on them is on them, as far as each was measured nearby ([`extent`]).
+//! What plain regions are filled with ends with their outline, and what only the rim of an image
+//! shows no other image measures. But a wall goes on until the next one. Large planes that nothing
+//! lies behind bound the view of a keyframe: the nearest of them on a line of sight is the last
+//! that it can meet. A region without depth whose outline lies on them is on them, as far as each
+//! was measured nearby.
 //!
-//! Two kinds of regions are looked at: plain ones, and what is left of the others. An edge in the image may be where another surface begins, a ceiling
-//! that nobody measured. So a plain region is not filled with a plane that it meets along a single line, with that plane on the other side of
+//! Two kinds of regions are looked at: plain ones, and what is left of the others. An edge in the
+//! image may be where another surface begins, a ceiling that nobody measured. So a plain region is
+//! not filled with a plane that it meets along a single line, with that plane on the other side of
 //! it.
 
-mod extent;
-mod planes;
-mod straight;
-#[cfg(test)]
-mod tests;
-
-use super::MappingConfig;
-use super::fill::{EIGHT_DIRECTIONS, NO_REGION, Regions, regions_beside};
-use super::posed::Scene;
-use super::scan::measurement;
-use super::transfer::{at_or, show};
+use super::shared::{SeenPlane, Surroundings};
+use crate::mapping::MappingConfig;
+use crate::mapping::fill::{EIGHT_DIRECTIONS, NO_REGION, Regions, regions_beside};
+use crate::mapping::posed::Scene;
+use crate::mapping::scan::measurement;
+use crate::mapping::transfer::{at_or, show};
 use monogrid_geometry::Vec2;
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
 use nalgebra::Matrix2;
-use planes::SeenPlane;
-pub(super) use planes::{Cloud, Surroundings};
-use serde::{Deserialize, Serialize};
-pub use straight::StraightenConfig;
-pub(super) use straight::straightened;
 
+/// Share of the outline of a plain region that must lie on the planes.
+const MIN_PLAIN_SHARE: f64 = 0.3;
+/// The same for regions that are not plain.
+const MIN_OTHER_SHARE: f64 = 0.6;
 /// Relative difference of inverse depths on a plane, a standard deviation.
 const FLATNESS: f64 = 0.015;
 /// The outline of a region along a line, px: root mean square of the distance from it.
@@ -39,44 +35,9 @@ const LINE_SHARE: f64 = 0.05;
 /// How far beyond an outline is looked what lies there, px.
 const BEYOND_PX: i32 = 12;
 
-/// Walls, floor and ceiling beyond what was measured of them.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct EnvelopeConfig {
-    /// Large planes of a final map that are continued where regions without depth lie between what is on them; 0: none. Default 12. Range [0,
-    /// 1000].
-    pub max_planes: usize,
-    /// Share of the depth of all keyframes on such a plane, at least. Default 0.02. Range [0.0001, 1].
-    pub min_share: f64,
-    /// Depth is on a plane that is off by at most this share of the range. Default 0.015. Range [0.0001, 1].
-    pub reach: f64,
-    /// Share of the depth around a keyframe that may be behind a plane that bounds its view. Default 0.02. Range [0, 1].
-    pub max_behind_share: f64,
-    /// Share of the outline of a plain region that must lie on these planes. Default 0.3. Range [0.001, 1].
-    pub min_plain_share: f64,
-    /// The same for regions that are not plain. Default 0.6. Range [0.001, 1].
-    pub min_other_share: f64,
-    /// How far from where it was measured a plane is continued, as a share of the range. Default 0.15: icl-office-kt3, which is open on one side, has
-    /// 7,800 cells outside with 0.1, 10,100 with 0.15, 12,700 with 0.2. Range [0, 100].
-    pub max_extent: f64,
-}
-
-impl Default for EnvelopeConfig {
-    fn default() -> Self {
-        Self {
-            max_planes: 12,
-            min_share: 0.02,
-            reach: 0.015,
-            max_behind_share: 0.02,
-            min_plain_share: 0.3,
-            min_other_share: 0.6,
-            max_extent: 0.15,
-        }
-    }
-}
-
-/// Depth of the regions of a keyframe that have none, where large planes bound its view. None without pose or image.
-pub(super) fn enclosed(
+/// Depth of the regions of a keyframe that have none, where large planes bound its view. None
+/// without pose or image.
+pub(super) fn continued(
     scene: &Scene,
     index: usize,
     surroundings: &Surroundings,
@@ -86,7 +47,7 @@ pub(super) fn enclosed(
     let (Some(view), Some(image)) = (&scene.views[index], image) else {
         return Vec::new();
     };
-    let planes = surroundings.bounding(&config.envelope);
+    let planes = surroundings.bounding();
     if planes.is_empty() {
         return Vec::new();
     }
@@ -130,11 +91,10 @@ impl Envelope<'_> {
 
     /// Depth of the plain regions whose outline lies on the envelope.
     fn of_plain(&self, regions: &Regions, shown: &Image<f32>) -> Vec<Measurement> {
-        let min_share = self.config.envelope.min_plain_share;
         let allowed: Vec<Vec<bool>> = outlines(regions, shown)
             .iter()
             .map(|outline| {
-                if !self.holds(outline, min_share) {
+                if !self.holds(outline, MIN_PLAIN_SHARE) {
                     return Vec::new();
                 }
                 let is_allowed = |plane| {
@@ -153,10 +113,9 @@ impl Envelope<'_> {
             plain.labels.at(x, y) == NO_REGION && shown.at(x, y) <= 0.0
         });
         let regions = Regions::of_pixels(&is_left, self.config.fill.min_area_px);
-        let min_share = self.config.envelope.min_other_share;
         let allowed: Vec<Vec<bool>> = outlines(&regions, shown)
             .iter()
-            .map(|outline| vec![self.holds(outline, min_share); self.planes.len()])
+            .map(|outline| vec![self.holds(outline, MIN_OTHER_SHARE); self.planes.len()])
             .collect();
         self.filled(&regions, &allowed)
     }
@@ -200,7 +159,8 @@ impl Envelope<'_> {
         2 * on >= total
     }
 
-    /// The depth of the nearest plane at the pixels of regions where it is allowed and near what was measured of it.
+    /// The depth of the nearest plane at the pixels of regions where it is allowed and near what
+    /// was measured of it.
     fn filled(&self, regions: &Regions, allowed: &[Vec<bool>]) -> Vec<Measurement> {
         let mut filled = Vec::new();
         let most = self.config.filter.max_agreed_sigma;
@@ -219,7 +179,7 @@ impl Envelope<'_> {
             let plane = &self.planes[plane];
             let point = plane.point([x as f64, y as f64]);
             let sigma = plane.relative_sigma(&point);
-            if sigma <= most && plane.is_measured(&point, self.config.envelope.max_extent) {
+            if sigma <= most && plane.is_measured(&point, self.config.planes.max_extent) {
                 let sigma = (sigma * idepth) as f32;
                 filled.push(measurement((x, y), idepth as f32, sigma));
             }
@@ -245,7 +205,7 @@ fn outlines(regions: &Regions, shown: &Image<f32>) -> Vec<Vec<OutlinePoint>> {
 }
 
 /// Whether points of an image lie along one line.
-fn is_line(points: &[[f64; 2]]) -> bool {
+pub(super) fn is_line(points: &[[f64; 2]]) -> bool {
     let count = points.len() as f64;
     let middle = [0, 1].map(|k| points.iter().map(|p| p[k]).sum::<f64>() / count);
     let mut scatter = Matrix2::zeros();
