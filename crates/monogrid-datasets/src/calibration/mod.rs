@@ -124,12 +124,7 @@ impl Calibration {
 
 /// Name of a distortion model in our own format.
 fn model_name(distortion: &Distortion) -> &'static str {
-    match distortion {
-        Distortion::None => "pinhole",
-        Distortion::RadialTangential { .. } => "radial-tangential",
-        Distortion::Fov { .. } => "fov",
-        Distortion::Equidistant { .. } => "equidistant",
-    }
+    distortion.name()
 }
 
 /// Times from the first row to the last that a sensor can take, ms; negative where the image is upside down.
