@@ -42,6 +42,19 @@ pub enum DatasetError {
         /// All frames.
         frames: usize,
     },
+    /// Time stamps of more than one recording, or of a clock that was set.
+    #[error(
+        "time jumps back by {seconds:.3} s at frame {frame} of {path:?}, expected increasing times; split the source there, or \
+         set its times right"
+    )]
+    TimesJumpBack {
+        /// List of frames.
+        path: PathBuf,
+        /// The first frame behind the jump, counted from 0.
+        frame: usize,
+        /// How far.
+        seconds: f64,
+    },
     /// Reading or writing failed.
     #[error("cannot {action} {path:?}: {source}")]
     Io {
@@ -75,7 +88,9 @@ pub enum DatasetError {
         expected: String,
     },
     /// An image that cannot be decoded completely.
-    #[error("cannot decode image {path:?}: {reason}; expected a complete PNG, JPEG, PGM or PPM")]
+    #[error(
+        "cannot decode image {path:?}: {reason}; expected a complete PNG, JPEG, PGM, PPM, TIFF or WebP"
+    )]
     Image {
         /// The file.
         path: PathBuf,

@@ -38,9 +38,10 @@ pub use check::{FrameCheck, FrameChecker, SequenceCheck, blur};
 pub use error::DatasetError;
 pub use files::{open_file, read_file};
 pub use images::{
-    DepthCalibration, DepthRegistration, TUM_UNITS_PER_METRE, decode_depth, decode_gray,
+    DepthCalibration, DepthRegistration, Levels, TUM_UNITS_PER_METRE, decode_depth, decode_gray,
     decode_jpeg_luma, decode_jpeg_rgb, encode_jpeg, encode_jpeg_rgb, encode_png, encode_png_16,
-    encode_png_rgb, exif_focal_px, read_depth, read_gray, read_mask, read_rgb,
+    encode_png_rgb, exif_focal_px, read_depth, read_gray, read_gray_in, read_mask, read_rgb,
+    read_rgb_in,
 };
 pub use imu::{ImuCalibration, ImuFile, write_imu};
 pub use recording::{

@@ -26,3 +26,9 @@ pub(crate) fn numbers(line: &str) -> Option<Vec<f64>> {
     let fields = line.split([' ', '\t', ',', ';']).filter(|s| !s.is_empty());
     fields.map(|s| s.parse().ok()).collect()
 }
+
+/// What stands before the first blank or comma of a line, and the rest.
+pub(crate) fn first_word(line: &str) -> (&str, &str) {
+    let cut = line.split_once(|c: char| c.is_whitespace() || c == ',');
+    cut.unwrap_or((line, ""))
+}

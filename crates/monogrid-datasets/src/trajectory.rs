@@ -1,7 +1,7 @@
 //! Trajectory files (TUM, EuRoC, KITTI) and Sim(3) files.
 
-use crate::text::{data_lines, numbers, read_text};
-use crate::timestamp::{format_seconds, parse_seconds};
+use crate::text::{data_lines, first_word, numbers, read_text};
+use crate::timestamp::{TimeUnit, format_seconds};
 use crate::{DatasetError, write_atomically};
 use monogrid_geometry::nalgebra::{Matrix3, Quaternion, Rotation3};
 use monogrid_geometry::{Rotation, Se3, Sim3, Vec3};
@@ -22,9 +22,13 @@ const QUATERNION_TOLERANCE: f64 = 0.1;
 /// Norms closer to 1 than this are products of rounding.
 const ROUNDING: f64 = 1e-14;
 
-/// Reads a trajectory in TUM format (`timestamp tx ty tz qx qy qz qw`) or EuRoC's CSV
-/// (`nanoseconds,x,y,z,qw,qx,qy,qz,...`), recognised by content, sorted by time; of equal times the
-/// first counts.
+/// Reads a trajectory in TUM format (`timestamp tx ty tz qx qy qz qw`), EuRoC's CSV
+/// (`nanoseconds,x,y,z,qw,qx,qy,qz,...`) or KITTI's matrices (12 numbers per line, the first at 0
+/// s, one more second for each), recognised by content, sorted by time; of equal times the first
+/// counts.
+///
+/// Times are seconds, milliseconds, microseconds or nanoseconds, whichever makes them dates of our
+/// time, or their steps those of a camera.
 ///
 /// # Errors
 /// When the file cannot be read, has no pose, or a line is not a pose.
@@ -37,15 +41,23 @@ pub fn read_trajectory(path: &Path) -> Result<Vec<TimedPose>, DatasetError> {
 /// # Errors
 /// As [`read_trajectory`].
 pub fn parse_trajectory(text: &str, path: &Path) -> Result<Vec<TimedPose>, DatasetError> {
+    let is_kitti = |(_, line): (usize, &str)| numbers(line).is_some_and(|row| row.len() == 12);
+    if data_lines(text).next().is_some_and(is_kitti) {
+        let times: Vec<i64> = (0..data_lines(text).count() as i64)
+            .map(|second| second * 1_000_000_000)
+            .collect();
+        return parse_kitti(text, &times, path);
+    }
+    let unit = TimeUnit::of(data_lines(text).map(|(_, line)| first_word(line).0));
     let mut poses = Vec::new();
     for (number, line) in data_lines(text) {
-        let pose = match line.contains(',') {
-            true => parse_euroc_line(line),
-            false => parse_tum_line(line),
-        };
-        poses.push(pose.ok_or_else(|| {
-            let expected = "timestamp tx ty tz qx qy qz qw with a unit quaternion, or EuRoC's \
-                            nanoseconds,x,y,z,qw,qx,qy,qz";
+        // names of columns
+        if poses.is_empty() && !line.contains(|c: char| c.is_ascii_digit()) {
+            continue;
+        }
+        poses.push(parse_line(line, unit).ok_or_else(|| {
+            let expected = "timestamp tx ty tz qx qy qz qw with a unit quaternion, EuRoC's \
+                            nanoseconds,x,y,z,qw,qx,qy,qz, or 12 numbers of KITTI's matrices";
             DatasetError::line(path, number, line, expected)
         })?);
     }
@@ -101,23 +113,22 @@ pub(crate) fn pose_from_matrix(values: &[f64]) -> Option<Se3> {
     pose.is_finite().then_some(pose)
 }
 
-fn parse_tum_line(line: &str) -> Option<TimedPose> {
-    let (time, rest) = line.split_once(char::is_whitespace)?;
-    Some(TimedPose {
-        timestamp_ns: parse_seconds(time)?,
-        world_from_camera: pose_from_numbers(&numbers(rest)?)?,
-    })
-}
-
-fn parse_euroc_line(line: &str) -> Option<TimedPose> {
-    let (time, rest) = line.split_once(',')?;
+/// A line of TUM's format (behind the pose may be the 12 covariances of OpenVINS) or, with commas,
+/// of EuRoC's.
+fn parse_line(line: &str, unit: TimeUnit) -> Option<TimedPose> {
+    let (time, rest) = first_word(line);
     let values = numbers(rest)?;
-    let &[x, y, z, qw, qx, qy, qz, ..] = values.as_slice() else {
+    let &[x, y, z, a, b, c, d, ..] = values.as_slice() else {
         return None;
     };
+    let pose = match line.contains(',') {
+        true => [x, y, z, b, c, d, a],
+        false if matches!(values.len(), 7 | 19) => [x, y, z, a, b, c, d],
+        false => return None,
+    };
     Some(TimedPose {
-        timestamp_ns: time.trim().parse().ok()?,
-        world_from_camera: pose_from_numbers(&[x, y, z, qx, qy, qz, qw])?,
+        timestamp_ns: unit.parse(time)?,
+        world_from_camera: pose_from_numbers(&pose)?,
     })
 }
 

@@ -99,6 +99,16 @@ pub enum CameraError {
         /// What was found.
         value: f64,
     },
+    /// A parameter of the lens with which it sees nothing.
+    #[error("calibration value {name} is {value}, expected {expected}")]
+    Lens {
+        /// Which parameter.
+        name: &'static str,
+        /// What was found.
+        value: f64,
+        /// What the model allows.
+        expected: &'static str,
+    },
     /// A focal length that no lens has.
     #[error(
         "focal length {name} is {value} px for an image {size} px wide, expected between {min:.0} and \
@@ -183,6 +193,7 @@ impl Camera {
                 return Err(CameraError::NotFinite { name, value });
             }
         }
+        self.distortion.validate()?;
         for (name, value, size) in [("fx", fx, width), ("fy", fy, height)] {
             // 0.05: beyond any fisheye; 50: a field of view of one degree.
             let longest = width.max(height) as f64;

@@ -1,8 +1,16 @@
-//! Lens distortion: radial-tangential, FOV and equidistant, with exact limits of their range.
+//! Lens distortion: polynomial, rational, fisheye and sphere models, with exact limits of their
+//! range.
 //!
 //! A model is used up to the first angle at which it stops being one-to-one, and no further.
 
-use crate::Vec2;
+mod names;
+mod radial;
+mod sphere;
+
+pub use names::LensError;
+
+use crate::{CameraError, Vec2};
+use radial::{Polynomial, Profile, RADIUS_LIMIT, Ratio};
 use std::f64::consts::FRAC_PI_2;
 
 /// Lens distortion, acting on normalised image coordinates.
@@ -34,10 +42,41 @@ pub enum Distortion {
         /// Coefficients of theta^3, theta^5, theta^7, theta^9.
         k: [f64; 4],
     },
+    /// OpenCV's rational model: radial-tangential, divided by a second radial polynomial.
+    Rational {
+        /// Radial: k1, k2, k3 above and k4, k5, k6 below.
+        k: [f64; 6],
+        /// Tangential: p1, p2.
+        p: [f64; 2],
+    },
+    /// Double sphere model of Usenko, Demmel and Cremers (2018).
+    DoubleSphere {
+        /// Distance between the centres of the spheres.
+        xi: f64,
+        /// Where the second projection has its centre, [0, 1].
+        alpha: f64,
+    },
+    /// Extended unified model of Khomutenko, Garcia and Martinet (2016).
+    ExtendedUnified {
+        /// Share of the distance beside that of the depth, [0, 1].
+        alpha: f64,
+        /// How the distance across counts, positive.
+        beta: f64,
+    },
+    /// Omnidirectional model of Mei and Rives (2007): a sphere, then radial-tangential, as
+    /// OpenCV's `omnidir` and Kalibr's `omni`.
+    Omnidirectional {
+        /// Distance of the projection from the centre of the sphere.
+        xi: f64,
+        /// Radial, second and fourth order.
+        k: [f64; 2],
+        /// Tangential: p1, p2.
+        p: [f64; 2],
+    },
 }
 
 impl Distortion {
-    /// Names and values of the parameters.
+    /// Names and values of the parameters, in the order in which files have them.
     #[must_use]
     pub fn parameters(&self) -> Vec<(&'static str, f64)> {
         match *self {
@@ -49,25 +88,73 @@ impl Distortion {
             Self::Equidistant { k } => {
                 vec![("k1", k[0]), ("k2", k[1]), ("k3", k[2]), ("k4", k[3])]
             }
+            Self::Rational { k, p } => vec![
+                ("k1", k[0]),
+                ("k2", k[1]),
+                ("p1", p[0]),
+                ("p2", p[1]),
+                ("k3", k[2]),
+                ("k4", k[3]),
+                ("k5", k[4]),
+                ("k6", k[5]),
+            ],
+            Self::DoubleSphere { xi, alpha } => vec![("xi", xi), ("alpha", alpha)],
+            Self::ExtendedUnified { alpha, beta } => vec![("alpha", alpha), ("beta", beta)],
+            Self::Omnidirectional { xi, k, p } => vec![
+                ("xi", xi),
+                ("k1", k[0]),
+                ("k2", k[1]),
+                ("p1", p[0]),
+                ("p2", p[1]),
+            ],
+        }
+    }
+
+    /// Refuses parameters of the sphere models with which not even the axis is seen; they are
+    /// finite.
+    pub(crate) fn validate(&self) -> Result<(), CameraError> {
+        let refused = |name, value, expected| CameraError::Lens {
+            name,
+            value,
+            expected,
+        };
+        let in_unit = |name, value: f64| match (0.0..=1.0).contains(&value) {
+            true => Ok(()),
+            false => Err(refused(name, value, "0 to 1")),
+        };
+        let beyond = |name, value: f64, least: f64, expected| match value > least {
+            true => Ok(()),
+            false => Err(refused(name, value, expected)),
+        };
+        match *self {
+            Self::DoubleSphere { xi, alpha } => {
+                in_unit("alpha", alpha)?;
+                beyond("xi", xi, -1.0, "more than -1")
+            }
+            Self::ExtendedUnified { alpha, beta } => {
+                in_unit("alpha", alpha)?;
+                beyond("beta", beta, 0.0, "more than 0")
+            }
+            Self::Omnidirectional { xi, .. } => beyond("xi", xi, -1.0, "more than -1"),
+            _ => Ok(()),
         }
     }
 
     /// Distorted from ideal normalised coordinates; `None` where the model folds over.
     #[must_use]
     pub fn distort(&self, ideal: &Vec2) -> Option<Vec2> {
-        let (x, y) = (ideal.x, ideal.y);
-        let r2 = x * x + y * y;
+        let r2 = ideal.x * ideal.x + ideal.y * ideal.y;
         match *self {
             Self::None => Some(*ideal),
             Self::RadialTangential { k1, k2, p1, p2, k3 } => {
                 let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-                if !is_one_to_one(r2.sqrt(), &[k1, k2, k3, 0.0]) {
-                    return None;
-                }
-                Some(Vec2::new(
-                    x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-                    y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-                ))
+                let is_seen = Polynomial([k1, k2, k3, 0.0]).is_one_to_one(r2.sqrt());
+                is_seen.then(|| with_tangential(ideal, radial, [p1, p2]))
+            }
+            Self::Rational { k, p } => {
+                let profile = Ratio::new(k);
+                let is_seen = profile.is_one_to_one(r2.sqrt());
+                is_seen.then(|| with_tangential(ideal, profile.factor(r2), p))
             }
             Self::Fov { omega } => {
                 let r = r2.sqrt();
@@ -89,10 +176,24 @@ impl Distortion {
                     return Some(*ideal);
                 }
                 let theta = r.atan();
-                let (distorted, _) = radial_polynomial(theta, &k);
-                is_one_to_one(theta, &k).then(|| ideal * (distorted / r))
+                let profile = Polynomial(k);
+                let (distorted, _) = profile.value_and_slope(theta);
+                let is_seen = profile.is_one_to_one(theta);
+                is_seen.then(|| ideal * (distorted / r))
+            }
+            Self::DoubleSphere { xi, alpha } => sphere::double_sphere(ideal, xi, alpha),
+            Self::ExtendedUnified { alpha, beta } => sphere::extended_unified(ideal, alpha, beta),
+            Self::Omnidirectional { xi, k, p } => {
+                let on_plane = sphere::unified(ideal, xi)?;
+                Self::behind_sphere(k, p).distort(&on_plane)
             }
         }
+    }
+
+    /// The radial-tangential part of the omnidirectional model.
+    fn behind_sphere([k1, k2]: [f64; 2], [p1, p2]: [f64; 2]) -> Self {
+        let k3 = 0.0;
+        Self::RadialTangential { k1, k2, p1, p2, k3 }
     }
 
     /// Ideal from distorted normalised coordinates; `None` outside the range of the model.
@@ -100,7 +201,10 @@ impl Distortion {
     pub fn undistort(&self, distorted: &Vec2) -> Option<Vec2> {
         match *self {
             Self::None => Some(*distorted),
-            Self::RadialTangential { .. } => self.undistort_newton(distorted),
+            Self::RadialTangential { k1, k2, k3, .. } => {
+                self.undistort_newton(distorted, &Polynomial([k1, k2, k3, 0.0]))
+            }
+            Self::Rational { k, .. } => self.undistort_newton(distorted, &Ratio::new(k)),
             Self::Fov { omega } => {
                 let r = distorted.norm();
                 if omega.abs() < 1e-6 {
@@ -123,24 +227,39 @@ impl Distortion {
                 if r < 1e-9 {
                     return Some(*distorted);
                 }
-                let theta = invert_radial(r, &k, FRAC_PI_2)?;
+                let theta = Polynomial(k).invert(r, FRAC_PI_2)?;
                 (theta < FRAC_PI_2 - 1e-6).then(|| distorted * (theta.tan() / r))
+            }
+            Self::DoubleSphere { xi, alpha } => sphere::undo_double_sphere(distorted, xi, alpha),
+            Self::ExtendedUnified { alpha, beta } => {
+                sphere::undo_extended_unified(distorted, alpha, beta)
+            }
+            Self::Omnidirectional { xi, k, p } => {
+                let on_plane = Self::behind_sphere(k, p).undistort(distorted)?;
+                sphere::undo_unified(&on_plane, xi)
             }
         }
     }
 
-    /// Inverse of the radial-tangential model: radially first, by a bracketed search, then Newton's
-    /// method with halved steps for the tangential part.
-    fn undistort_newton(&self, distorted: &Vec2) -> Option<Vec2> {
-        let Self::RadialTangential { k1, k2, k3, .. } = *self else {
-            return None;
-        };
+    /// How much larger than `focal length / depth` things near the axis are seen.
+    #[must_use]
+    pub fn enlargement_on_axis(&self) -> f64 {
+        let h = 1e-5;
+        let seen = self
+            .distort(&Vec2::new(h, 0.0))
+            .zip(self.distort(&Vec2::new(-h, 0.0)));
+        seen.map_or(1.0, |(right, left)| (right.x - left.x) / (2.0 * h))
+    }
+
+    /// Inverse of a model with a tangential part: radially first, by a bracketed search, then
+    /// Newton's method with halved steps.
+    fn undistort_newton(&self, distorted: &Vec2, radial: &impl Profile) -> Option<Vec2> {
         let r = distorted.norm();
         let mut ideal = if r < 1e-12 {
             *distorted
         } else {
             // Plain Newton from the distorted point oscillates about inflections of real lenses.
-            distorted * (invert_radial(r, &[k1, k2, k3, 0.0], RADIUS_LIMIT)? / r)
+            distorted * (radial.invert(r, RADIUS_LIMIT)? / r)
         };
         let mut error = self.distort(&ideal)? - distorted;
         for _ in 0..50 {
@@ -175,101 +294,12 @@ impl Distortion {
     }
 }
 
-/// Largest ideal radius that is inverted: 89.7 degrees off the axis.
-const RADIUS_LIMIT: f64 = 200.0;
-
-/// `x (1 + k0 x^2 + k1 x^4 + k2 x^6 + k3 x^8)` and its derivative: the distorted radius as a
-/// function of the angle (equidistant) or of the ideal radius (radial-tangential).
-fn radial_polynomial(x: f64, k: &[f64; 4]) -> (f64, f64) {
-    let x2 = x * x;
-    let value = x * (1.0 + x2 * (k[0] + x2 * (k[1] + x2 * (k[2] + x2 * k[3]))));
-    let slope = 1.0 + x2 * (3.0 * k[0] + x2 * (5.0 * k[1] + x2 * (7.0 * k[2] + x2 * 9.0 * k[3])));
-    (value, slope)
-}
-
-/// Whether [`radial_polynomial`] grows all the way from the axis to `x`; where it does not, two
-/// angles share one pixel.
-fn is_one_to_one(x: f64, k: &[f64; 4]) -> bool {
-    let slope = [1.0, 3.0 * k[0], 5.0 * k[1], 7.0 * k[2], 9.0 * k[3]];
-    is_positive_up_to(x * x, slope)
-}
-
-/// Argument in `[0, x_max]` at which [`radial_polynomial`] reaches `r` for the first time, by Newton's
-/// method kept inside a bracket: without, it jumps over the fold of strongly curved models.
-fn invert_radial(r: f64, k: &[f64; 4], x_max: f64) -> Option<f64> {
-    let (mut low, mut high) = (0.0, x_max);
-    let mut x = r.min(high);
-    for _ in 0..100 {
-        let (value, slope) = radial_polynomial(x, k);
-        if (value - r).abs() <= 4.0 * f64::EPSILON * r {
-            // Going on would leave the bracket by rounding and start to bisect.
-            break;
-        }
-        if value > r || !is_one_to_one(x, k) {
-            high = x;
-        } else {
-            low = x;
-        }
-        let newton = x - (value - r) / slope;
-        let next = if newton > low && newton < high {
-            newton
-        } else {
-            0.5 * (low + high)
-        };
-        let step = next - x;
-        x = next;
-        if step.abs() < 1e-15 * x.max(1.0) {
-            break;
-        }
-    }
-    let (value, _) = radial_polynomial(x, k);
-    ((value - r).abs() < 1e-12 * r.max(1.0) && is_one_to_one(x, k)).then_some(x)
-}
-
-/// Whether the polynomial `sum c_i x^i` is positive on all of `[0, x_max]`.
-///
-/// Exact but for polynomials that touch zero: the Bernstein coefficients bound the values, and the
-/// interval is halved until they decide.
-fn is_positive_up_to(x_max: f64, c: [f64; 5]) -> bool {
-    // Power basis on [0, x_max] to Bernstein basis of degree 4.
-    const INV_BINOMIAL: [f64; 5] = [1.0, 1.0 / 4.0, 1.0 / 6.0, 1.0 / 4.0, 1.0];
-    const BINOMIAL: [[f64; 5]; 5] = [
-        [1.0, 0.0, 0.0, 0.0, 0.0],
-        [1.0, 1.0, 0.0, 0.0, 0.0],
-        [1.0, 2.0, 1.0, 0.0, 0.0],
-        [1.0, 3.0, 3.0, 1.0, 0.0],
-        [1.0, 4.0, 6.0, 4.0, 1.0],
-    ];
-    let mut power = 1.0;
-    let scaled = c.map(|x| {
-        let y = x * power;
-        power *= x_max;
-        y
-    });
-    let bernstein: [f64; 5] = std::array::from_fn(|i| {
-        (0..=i)
-            .map(|j| BINOMIAL[i][j] * INV_BINOMIAL[j] * scaled[j])
-            .sum()
-    });
-    bernstein_is_positive(&bernstein, 24)
-}
-
-/// Positivity of a polynomial of degree 4 on its interval, by de Casteljau's subdivision.
-fn bernstein_is_positive(b: &[f64; 5], depth: u32) -> bool {
-    if b.iter().all(|&x| x > 0.0) {
-        return true;
-    }
-    // The ends are values of the polynomial. NaN ends here as well.
-    if !(b[0] > 0.0 && b[4] > 0.0) || depth == 0 {
-        return false;
-    }
-    let (mut left, mut right, mut row) = ([0.0; 5], [0.0; 5], *b);
-    for level in 0..5 {
-        left[level] = row[0];
-        right[4 - level] = row[4 - level];
-        for i in 0..4 - level {
-            row[i] = 0.5 * (row[i] + row[i + 1]);
-        }
-    }
-    bernstein_is_positive(&left, depth - 1) && bernstein_is_positive(&right, depth - 1)
+/// A point times its radial factor, with OpenCV's tangential distortion.
+fn with_tangential(ideal: &Vec2, radial: f64, [p1, p2]: [f64; 2]) -> Vec2 {
+    let (x, y) = (ideal.x, ideal.y);
+    let r2 = x * x + y * y;
+    Vec2::new(
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+    )
 }

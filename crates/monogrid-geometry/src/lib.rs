@@ -22,7 +22,7 @@ mod so3;
 
 pub use alignment::{AlignmentError, SimilarityFit, align_similarity};
 pub use camera::{Camera, CameraError, Pinhole};
-pub use distortion::Distortion;
+pub use distortion::{Distortion, LensError};
 pub use nalgebra;
 pub use rng::{Rng, mix};
 pub use se3::{NotARotation, Se3};

@@ -40,6 +40,20 @@ fn cameras() -> Vec<Camera> {
             k: [-0.013, 0.02, -0.012, 0.0025],
         },
         Distortion::Equidistant { k: [0.0; 4] },
+        RATIONAL,
+        Distortion::DoubleSphere {
+            xi: -0.2,
+            alpha: 0.59,
+        },
+        Distortion::ExtendedUnified {
+            alpha: 0.6,
+            beta: 1.1,
+        },
+        Distortion::Omnidirectional {
+            xi: 0.9,
+            k: [-0.11, 0.05],
+            p: [-0.0003, 0.0008],
+        },
     ]
     .into_iter()
     .map(camera)
@@ -50,13 +64,53 @@ fn cameras() -> Vec<Camera> {
     });
     wide.pinhole = Pinhole::new(290.0, 290.0, 319.5, 239.5);
     out.push(wide);
+    out.extend(wide_spheres());
     out
 }
+
+/// Sphere models that see as much as the fisheye.
+fn wide_spheres() -> [Camera; 3] {
+    [
+        (
+            220.0,
+            Distortion::DoubleSphere {
+                xi: -0.2,
+                alpha: 0.6,
+            },
+        ),
+        (
+            340.0,
+            Distortion::ExtendedUnified {
+                alpha: 0.7,
+                beta: 1.3,
+            },
+        ),
+        (
+            800.0,
+            Distortion::Omnidirectional {
+                xi: 1.8,
+                k: [-0.06, 0.2],
+                p: [-0.0017, 0.0013],
+            },
+        ),
+    ]
+    .map(|(focal, distortion)| {
+        let mut wide = camera(distortion);
+        wide.pinhole = Pinhole::new(focal, focal, 319.5, 239.5);
+        wide
+    })
+}
+
+/// A wide depth camera, of those whose factory calibration has six radial terms.
+const RATIONAL: Distortion = Distortion::Rational {
+    k: [0.6, -2.6, 1.5, 0.48, -2.42, 1.43],
+    p: [0.0008, -0.0002],
+};
 
 #[test]
 fn every_pixel_unprojects_and_projects_back() {
     let cameras = cameras();
-    assert_eq!(cameras.len(), 9);
+    assert_eq!(cameras.len(), 16);
     for camera in cameras {
         for y in (0..480).step_by(19) {
             for x in (0..640).step_by(21) {
@@ -127,6 +181,157 @@ fn equidistant_is_opencvs_fisheye_formula() {
 }
 
 #[test]
+fn rational_is_opencvs_formula() {
+    let ([k1, k2, k3, k4, k5, k6], [p1, p2]) =
+        ([0.1, -0.05, 0.01, 0.2, 0.03, -0.004], [0.003, -0.002]);
+    let coefficients = [k1, k2, p1, p2, k3, k4, k5, k6];
+    let distortion = Distortion::from_name("rational_polynomial", &coefficients).unwrap();
+    let mut random = Random(21);
+    for _ in 0..100 {
+        let (x, y) = (random.signed(), random.signed());
+        // docs.opencv.org, "Camera Calibration and 3D Reconstruction"
+        let r = (x * x + y * y).sqrt();
+        let radial = (1.0 + k1 * r.powi(2) + k2 * r.powi(4) + k3 * r.powi(6))
+            / (1.0 + k4 * r.powi(2) + k5 * r.powi(4) + k6 * r.powi(6));
+        let x2 = x * radial + 2.0 * p1 * x * y + p2 * (r.powi(2) + 2.0 * x.powi(2));
+        let y2 = y * radial + p1 * (r.powi(2) + 2.0 * y.powi(2)) + 2.0 * p2 * x * y;
+        let found = distortion.distort(&Vec2::new(x, y)).unwrap();
+        assert_close!(found, Vec2::new(x2, y2), 1e-14);
+    }
+}
+
+#[test]
+fn sphere_models_are_the_formulas_of_their_authors() {
+    let mut random = Random(22);
+    for _ in 0..200 {
+        let (x, y, z) = (
+            random.signed() * 2.0,
+            random.signed() * 2.0,
+            0.3 + random.signed().abs(),
+        );
+        let point = Vec3::new(x, y, z);
+        let camera = |name, values: &[f64]| {
+            camera(Distortion::from_name(name, values).unwrap()).project(&point)
+        };
+        let pixel = |mx: f64, my: f64| Vec2::new(517.3 * mx + 318.6, 516.5 * my + 255.3);
+        let squared = x * x + y * y;
+        // Usenko et al., equations 40 to 42
+        let (xi, alpha) = (-0.18, 0.57);
+        let d1 = (squared + z * z).sqrt();
+        let d2 = (squared + (xi * d1 + z).powi(2)).sqrt();
+        let below = alpha * d2 + (1.0 - alpha) * (xi * d1 + z);
+        let expected = pixel(x / below, y / below);
+        assert_close!(camera("ds", &[xi, alpha]).unwrap(), expected, 1e-10);
+        // Khomutenko et al.
+        let (alpha, beta) = (0.63, 1.12);
+        let d = (beta * squared + z * z).sqrt();
+        let below = alpha * d + (1.0 - alpha) * z;
+        let expected = pixel(x / below, y / below);
+        assert_close!(camera("eucm", &[alpha, beta]).unwrap(), expected, 1e-10);
+        // Mei and Rives, as OpenCV's omnidir has it
+        let (xi, [k1, k2, p1, p2]) = (1.3, [-0.1, 0.2, 0.003, -0.004]);
+        let (mx, my) = (x / (z + xi * d1), y / (z + xi * d1));
+        let r2 = mx * mx + my * my;
+        let radial = 1.0 + k1 * r2 + k2 * r2 * r2;
+        let expected = pixel(
+            mx * radial + 2.0 * p1 * mx * my + p2 * (r2 + 2.0 * mx * mx),
+            my * radial + p1 * (r2 + 2.0 * my * my) + 2.0 * p2 * mx * my,
+        );
+        let found = camera("mei", &[xi, k1, k2, p1, p2]).unwrap();
+        assert_close!(found, expected, 1e-10);
+    }
+}
+
+#[test]
+fn special_cases_of_a_model_are_the_simpler_model() {
+    let ideal = Vec2::new(0.4, -0.7);
+    let same = |a: (&str, &[f64]), b: (&str, &[f64])| {
+        let seen = |(name, values): (&str, &[f64])| {
+            let distortion = Distortion::from_name(name, values).unwrap();
+            distortion.distort(&ideal).unwrap()
+        };
+        assert_close!(seen(a), seen(b), 1e-15, "{a:?} {b:?}");
+    };
+    let radtan = [-0.2, 0.05, 0.001, 0.002, 0.01];
+    let rational = [-0.2, 0.05, 0.001, 0.002, 0.01, 0.0, 0.0, 1e-300];
+    same(("radtan", &radtan), ("rational", &rational));
+    same(("ds", &[0.0, 0.0]), ("none", &[]));
+    same(("eucm", &[0.0, 1.0]), ("none", &[]));
+    same(("omni", &[0.0]), ("none", &[]));
+    // a sphere around the origin alone is the unified model, whose xi is alpha / (1 - alpha)
+    same(("ds", &[0.0, 0.6]), ("eucm", &[0.6, 1.0]));
+}
+
+#[test]
+fn the_enlargement_on_the_axis_is_the_slope_there() {
+    for (name, values, expected) in [
+        ("pinhole", &[][..], 1.0),
+        ("equidistant", &[0.1, 0.0, 0.0, 0.0], 1.0),
+        (
+            "rational",
+            &[0.6, -2.6, 0.001, 0.0, 1.5, 0.48, -2.4, 1.4],
+            1.0,
+        ),
+        ("fov", &[0.9], 2.0 * 0.45_f64.tan() / 0.9),
+        ("ds", &[-0.2, 0.6], 1.0 / 0.8),
+        ("omni", &[1.8], 1.0 / 2.8),
+    ] {
+        let distortion = Distortion::from_name(name, values).unwrap();
+        let found = distortion.enlargement_on_axis();
+        assert!((found - expected).abs() < 1e-8, "{name}: {found}");
+    }
+}
+
+#[test]
+fn models_have_their_names_and_as_many_coefficients() {
+    for camera in cameras() {
+        let values: Vec<f64> = camera.distortion.parameters().iter().map(|p| p.1).collect();
+        // an unbent fov is no distortion
+        if values != [0.0] {
+            let again = Distortion::from_name(camera.distortion.name(), &values);
+            assert_eq!(again, Ok(camera.distortion));
+        }
+    }
+    let said = |name: &str, values: &[f64]| {
+        Distortion::from_name(name, values)
+            .expect_err(name)
+            .to_string()
+    };
+    assert!(said("scaramuzza", &[]).contains("camera model scaramuzza is not supported"));
+    assert!(said("Equirectangular", &[]).contains("v360=equirect"));
+    assert!(said("pinhole", &[0.1, 0.0, 0.0, 0.0]).contains("4 coefficients"));
+    assert!(said("equidistant", &[0.1]).contains("k1 k2 k3 k4"));
+    assert!(said("radtan", &[0.1, 0.2]).contains("OpenCV's order"));
+    let mut thin = [0.1; 14];
+    thin[12..].fill(0.0);
+    assert!(said("rational_polynomial", &thin).contains("thin prism"));
+    thin[13] = 0.2;
+    assert!(said("rational_polynomial", &thin).contains("tilted"));
+    thin[8..].fill(0.0);
+    let rational = Distortion::from_name("plumb_bob", &thin).unwrap();
+    assert!(matches!(rational, Distortion::Rational { .. }));
+    let none = Distortion::from_name("plumb_bob", &[0.0; 5]);
+    assert_eq!(none, Ok(Distortion::None));
+}
+
+#[test]
+fn sphere_models_that_see_nothing_are_refused() {
+    let pinhole = Pinhole::new(300.0, 300.0, 320.0, 240.0);
+    for (name, values, said) in [
+        ("ds", &[-1.0, 0.5][..], "xi is -1"),
+        ("ds", &[0.1, 1.5], "alpha is 1.5"),
+        ("eucm", &[-0.1, 1.0], "alpha is -0.1"),
+        ("eucm", &[0.5, 0.0], "beta is 0"),
+        ("omni", &[-1.5], "xi is -1.5"),
+        ("omni", &[f64::NAN], "xi is NaN"),
+    ] {
+        let distortion = Distortion::from_name(name, values).unwrap();
+        let error = Camera::try_new(640, 480, pinhole, distortion).unwrap_err();
+        assert!(error.to_string().contains(said), "{error}");
+    }
+}
+
+#[test]
 fn fov_is_the_formula_of_devernay_and_faugeras() {
     let omega = 0.9_f64;
     let distortion = Distortion::Fov { omega };
@@ -170,6 +375,10 @@ fn first_fold(distortion: &Distortion, r_max: f64) -> Option<f64> {
             let t = r.atan();
             t * (1.0 + k[0] * t.powi(2) + k[1] * t.powi(4) + k[2] * t.powi(6) + k[3] * t.powi(8))
         }
+        Distortion::Rational { k, .. } => {
+            r * (1.0 + k[0] * r.powi(2) + k[1] * r.powi(4) + k[2] * r.powi(6))
+                / (1.0 + k[3] * r.powi(2) + k[4] * r.powi(4) + k[5] * r.powi(6))
+        }
         _ => r,
     };
     let step = 1e-4;
@@ -188,6 +397,7 @@ fn nothing_is_seen_beyond_the_first_fold_even_where_the_model_grows_again() {
         p2: 0.0,
         k3,
     };
+    let rational = |k| Distortion::Rational { k, p: [0.0; 2] };
     let models = [
         rt(-0.3, 0.0, 0.0),
         rt(-0.5, 0.1, 0.0), // folds at 1, grows again from sqrt 2 on
@@ -201,6 +411,8 @@ fn nothing_is_seen_beyond_the_first_fold_even_where_the_model_grows_again() {
         Distortion::Equidistant {
             k: [0.0, 0.0, 0.0, -0.05],
         },
+        rational([-0.3, 0.0, 0.0, 0.1, 0.0, 0.0]), // folds, as what is above decreases
+        rational([0.5, 0.1, 0.01, 0.6, 0.12, 0.005]),
     ];
     let mut folding = 0;
     for model in models {
@@ -227,7 +439,22 @@ fn nothing_is_seen_beyond_the_first_fold_even_where_the_model_grows_again() {
             assert_eq!(model.undistort(&(edge * 1.05)), None, "{model:?}");
         }
     }
-    assert_eq!(folding, 5);
+    assert_eq!(folding, 6);
+}
+
+#[test]
+fn nothing_is_seen_beyond_where_a_rational_model_divides_by_zero() {
+    // what is below is 0 at a radius of sqrt 5
+    let k = [0.1, 0.0, 0.0, -0.2, 0.0, 0.0];
+    let distortion = Distortion::Rational { k, p: [0.0; 2] };
+    for (radius, is_seen) in [(2.2, true), (2.23, true), (2.24, false), (3.0, false)] {
+        let point = Vec2::new(0.0, radius);
+        let seen = distortion.distort(&point);
+        assert_eq!(seen.is_some(), is_seen, "{radius}");
+        if let Some(seen) = seen {
+            assert_close!(distortion.undistort(&seen).unwrap(), point, 1e-8);
+        }
+    }
 }
 
 #[test]

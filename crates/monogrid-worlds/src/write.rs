@@ -148,7 +148,7 @@ fn calibration_line(camera: &Camera) -> Option<String> {
         Distortion::None => String::new(),
         Distortion::RadialTangential { k1, k2, p1, p2, k3 } => format!("{k1} {k2} {p1} {p2} {k3} "),
         Distortion::Fov { omega } => format!("{omega} "),
-        Distortion::Equidistant { .. } => return None,
+        _ => return None,
     };
     Some(format!(
         "{} {} {} {} {distortion}{} {}\n",

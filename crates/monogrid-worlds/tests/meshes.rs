@@ -1,6 +1,6 @@
 //! Damaged meshes: an error, or no more than the file has bytes, never a panic.
 
-use monogrid_worlds::MeshModel;
+use monogrid_worlds::{MeshLighting, MeshModel, World};
 use proptest::prelude::*;
 
 const OBJ: &[u8] = b"v 0 0 0\nv 1 0 0\nv 0 1 0.5\nv 1 1 0\nvt 0 0\nvt 1 1\nvn 0 0 1\nf 1 2 3\n\
@@ -68,6 +68,22 @@ fn indices_that_lead_nowhere_are_refused() {
     }
     std::fs::write(&path, OBJ).unwrap();
     assert_eq!(MeshModel::read(&path).unwrap().mesh.triangles.len(), 4);
+}
+
+#[test]
+fn a_mesh_without_its_materials_is_grey() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("room.obj");
+    let text = "mtllib gone.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nusemtl wall\nf 1/1 2/1 3/1 4/1\n";
+    std::fs::write(&path, text).unwrap();
+    let model = MeshModel::read(&path).unwrap();
+    assert_eq!(model.mesh.triangles.len(), 2);
+    assert!(model.materials.is_empty());
+    World::from_file(&path, MeshLighting::Shaded).unwrap();
+    // one that is there and no library is not passed over
+    std::fs::write(folder.path().join("gone.mtl"), "newmtl wall\nKd a b c\n").unwrap();
+    let error = MeshModel::read(&path).unwrap_err().to_string();
+    assert!(error.contains("library of materials"), "{error}");
 }
 
 proptest! {

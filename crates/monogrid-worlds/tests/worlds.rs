@@ -68,6 +68,14 @@ fn depth_equals_analytic_intersection_for_every_lens() {
         Distortion::Equidistant {
             k: [0.01, -0.02, 0.003, 0.0],
         },
+        Distortion::Rational {
+            k: [0.6, -0.3, 0.1, 0.7, -0.2, 0.1],
+            p: [0.0008, -0.0002],
+        },
+        Distortion::DoubleSphere {
+            xi: -0.2,
+            alpha: 0.6,
+        },
     ];
     for lens in lenses {
         let camera = camera(lens);
@@ -541,6 +549,14 @@ fn the_written_calibration_is_that_of_the_camera_for_every_lens() {
         Distortion::Fov { omega: 0.9 },
         Distortion::Equidistant {
             k: [0.01, -0.02, 0.003, 0.0],
+        },
+        Distortion::Rational {
+            k: [0.6, -0.3, 0.1, 0.7, -0.2, 0.1],
+            p: [0.0008, -0.0002],
+        },
+        Distortion::DoubleSphere {
+            xi: -0.2,
+            alpha: 0.6,
         },
     ];
     for lens in lenses {

@@ -5,8 +5,8 @@ use crate::failure::{Classify, Failure};
 use crate::frame_colours::{FrameColour, FrameColours};
 use crate::input::{Images, Input};
 use monogrid_datasets::{
-    FrameEntry, ReadOptions, Record, RecordedKeyframe, RecordingReader, decode_jpeg_rgb,
-    encode_jpeg_rgb, read_rgb,
+    FrameEntry, Levels, ReadOptions, Record, RecordedKeyframe, RecordingReader, decode_jpeg_rgb,
+    encode_jpeg_rgb, read_rgb_in,
 };
 use monogrid_image::Image;
 use monogrid_pipeline::Preparation;
@@ -30,6 +30,8 @@ const MAX_PIXELS: usize = 1 << 26;
 pub struct ColourSource {
     /// Those of image files, which are read once more; none of a video.
     files: Vec<FrameEntry>,
+    /// What these use of 16 bits.
+    levels: Levels,
     preparation: Preparation,
     /// Where what is seen only once is kept.
     pub kept: Arc<FrameColours>,
@@ -45,6 +47,7 @@ impl ColourSource {
         };
         Some(Self {
             files,
+            levels: input.reading.levels,
             preparation: input.preparation.clone(),
             kept: Arc::default(),
         })
@@ -58,7 +61,7 @@ impl ColourSource {
         let found = self.files.binary_search_by_key(&frame, |file| file.index);
         let image = match found {
             Ok(found) => {
-                let image = read_rgb(&self.files[found].path).ok()??;
+                let image = read_rgb_in(&self.files[found].path, self.levels).ok()??;
                 self.working(&image, &kept)?
             }
             Err(_) => self.shown_in_colour(&keyframe.image, &kept)?,

@@ -51,7 +51,7 @@ pub fn depth_calibration(
         Some(path) => DepthCalibration::read(path).bad_input(),
         None => {
             let own = dataset.depth_calibration().bad_input()?;
-            Ok(own.unwrap_or_else(|| DepthCalibration::registered(*colour)))
+            Ok(own.unwrap_or_else(|| dataset.registered_depth(*colour)))
         }
     }
 }

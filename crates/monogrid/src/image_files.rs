@@ -1,21 +1,22 @@
 //! Image files, read one after the other in a thread of their own.
 
 use crate::video_source::VideoItem;
-use monogrid_datasets::{FrameEntry, read_gray};
+use monogrid_datasets::{FrameEntry, Levels, read_gray_in};
 use monogrid_pipeline::Unusable;
 use monogrid_video::{Aside, Patience, Sink, Waited};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// The images of these files in their order; `cpu_ns` hears of the CPU time of reading them.
+/// The images of these files in their order, which use so much of 16 bits; `cpu_ns` hears of the
+/// CPU time of reading them.
 pub fn read_files<'a>(
-    files: Vec<FrameEntry>,
+    (files, levels): (Vec<FrameEntry>, Levels),
     patience: Patience,
     cpu_ns: &'a AtomicU64,
 ) -> Box<dyn Iterator<Item = VideoItem> + Send + 'a> {
     let broke_off = |reason: String| (0, 0, Err(Unusable::BrokeOff(reason)));
     let work = move |sink: &Sink<VideoItem>| {
         for file in files {
-            let image = read_gray(&file.path);
+            let image = read_gray_in(&file.path, levels);
             let image = image.map_err(|error| Unusable::Unreadable(error.to_string()));
             if !sink.put((file.index, file.timestamp_ns, image)) {
                 return;

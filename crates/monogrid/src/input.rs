@@ -9,7 +9,8 @@ use crate::readings::Inertial;
 use crate::self_calibration::{Expected, OwnCalibration};
 use crate::video_source::{VideoItem, VideoSource, check_topic, is_video};
 use monogrid_datasets::{
-    Calibration, Dataset, FrameEntry, SourceOptions, read_gray, read_mask, read_photometric,
+    Calibration, Dataset, FrameEntry, Levels, SourceOptions, read_gray_in, read_mask,
+    read_photometric,
 };
 use monogrid_geometry::{Camera, Pinhole, ReadoutDirection, Se3};
 use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
@@ -44,7 +45,10 @@ impl Images {
         colours: Option<&'a FrameColours>,
     ) -> Box<dyn Iterator<Item = VideoItem> + Send + 'a> {
         match self {
-            Self::Files(_) => read_files(frames.to_vec(), reading.patience, &reading.cpu_ns),
+            Self::Files(_) => {
+                let files = (frames.to_vec(), reading.levels);
+                read_files(files, reading.patience, &reading.cpu_ns)
+            }
             Self::Video(video) => video.frames(colours),
             Self::Rendered(_) => Box::new(std::iter::empty()),
         }
@@ -70,11 +74,23 @@ impl Images {
 }
 
 /// How a source is read.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Reading {
     patience: Patience,
+    /// What the files use of 16 bits.
+    pub levels: Levels,
     /// CPU time of the last reading of files, ns.
     cpu_ns: AtomicU64,
+}
+
+impl Default for Reading {
+    fn default() -> Self {
+        Self {
+            patience: Patience::default(),
+            levels: Levels::ALL,
+            cpu_ns: AtomicU64::default(),
+        }
+    }
 }
 
 impl Reading {
@@ -111,12 +127,15 @@ impl RawInput {
             });
         }
         let options = SourceOptions { fps: args.fps };
-        let dataset = Dataset::open(source, options).bad_input()?;
+        let mut dataset = Dataset::open(source, options).bad_input()?;
+        // those of the whole source: what a part of it shows is the same as in the whole
+        let levels = Levels::of_frames(&dataset.frames);
+        dataset.warnings.extend(levels.note());
         Ok(Self {
             name: dataset.name.clone(),
             frames: selected(&dataset, args)?,
             images: Images::Files(Box::new(dataset)),
-            reading,
+            reading: Reading { levels, ..reading },
         })
     }
 
@@ -143,7 +162,7 @@ impl RawInput {
         if let Images::Video(video) = &self.images {
             return Ok((video.size, video.direction));
         }
-        let first = first_image(&self.frames, self.reading.patience)?;
+        let first = first_image(&self.frames, &self.reading)?;
         let size = (first.width(), first.height());
         Ok((size, ReadoutDirection::of_size(size)))
     }
@@ -156,6 +175,10 @@ impl RawInput {
         size: (usize, usize),
     ) -> Result<Option<Calibration>, Failure> {
         match (&args.calibration, &self.images) {
+            (Some(path), Images::Files(dataset)) => {
+                let read = dataset.read_calibration(path, Some(size));
+                read.map(Some).bad_input()
+            }
             (Some(path), _) => Calibration::read(path, Some(size)).map(Some).bad_input(),
             (None, Images::Files(dataset)) if args.fov.is_none() => {
                 dataset.calibration(Some(size)).bad_input()
@@ -356,7 +379,8 @@ impl Input {
     fn read_image(&self, frame: &FrameEntry) -> Result<GrayImage, Unusable> {
         match &self.images {
             Images::Files(_) => {
-                read_gray(&frame.path).map_err(|error| Unusable::Unreadable(error.to_string()))
+                let image = read_gray_in(&frame.path, self.reading.levels);
+                image.map_err(|error| Unusable::Unreadable(error.to_string()))
             }
             Images::Video(_) => Err(Unusable::Unreadable("a video lists no frames".to_owned())),
             Images::Rendered(sequence) => {
@@ -439,11 +463,12 @@ fn chosen<T: Clone>(frames: &[T], args: &SourceArgs) -> Vec<T> {
 }
 
 /// The first image that can be decoded, for the size.
-fn first_image(frames: &[FrameEntry], patience: Patience) -> Result<GrayImage, Failure> {
+fn first_image(frames: &[FrameEntry], reading: &Reading) -> Result<GrayImage, Failure> {
     let cpu_ns = AtomicU64::new(0);
     let tried = frames.len().min(MAX_UNREADABLE_IN_A_ROW);
     let mut first_error = None;
-    for (.., image) in read_files(frames[..tried].to_vec(), patience, &cpu_ns) {
+    let files = (frames[..tried].to_vec(), reading.levels);
+    for (.., image) in read_files(files, reading.patience, &cpu_ns) {
         match image {
             Ok(image) => return Ok(image),
             Err(Unusable::BrokeOff(reason)) => return Err(Failure::running(reason)),

@@ -123,7 +123,7 @@ fn refined_given((slam, taken_out): (&Slam, &TakenOut), input: &Input) -> Option
     let [log_focal, _, _, at_x, at_y, readout] = prior.sigma.into();
     let radial = match input.camera().distortion {
         Distortion::None | Distortion::RadialTangential { .. } => LEFT_RADIAL,
-        Distortion::Fov { .. } | Distortion::Equidistant { .. } => HELD,
+        _ => HELD,
     };
     prior.mean = guess.parameters();
     prior.sigma = Parameters::from([log_focal, radial, HELD, at_x, at_y, readout]);
@@ -148,12 +148,8 @@ fn given_as_shown(
     let mut camera = *given;
     camera.distortion = two_lenses(given.distortion, ratio, left);
     let Pinhole { fx, fy, cx, cy } = given.pinhole;
-    camera.pinhole = Pinhole::new(
-        fx * ratio,
-        fy * ratio,
-        cx + fx * from_axis.x,
-        cy + fy * from_axis.y,
-    );
+    let shift = from_axis * given.distortion.enlargement_on_axis();
+    camera.pinhole = Pinhole::new(fx * ratio, fy * ratio, cx + fx * shift.x, cy + fy * shift.y);
     let percent = |sigma: f64| 196.0 * sigma;
     Some(OwnCalibration {
         camera,
@@ -176,7 +172,7 @@ fn two_lenses(given: Distortion, ratio: f64, left: f64) -> Distortion {
     let (k1, k2, p1, p2, k3) = match given {
         Distortion::None => (0.0, 0.0, 0.0, 0.0, 0.0),
         Distortion::RadialTangential { k1, k2, p1, p2, k3 } => (k1, k2, p1, p2, k3),
-        Distortion::Fov { .. } | Distortion::Equidistant { .. } => return given,
+        _ => return given,
     };
     let squared = ratio * ratio;
     Distortion::RadialTangential {

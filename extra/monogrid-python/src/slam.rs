@@ -40,24 +40,9 @@ impl Camera {
         model: &str,
         rolling_shutter_ms: f64,
     ) -> PyResult<Self> {
-        let distortion = match (model, distortion.as_deref()) {
-            (_, None | Some([])) => Distortion::None,
-            ("radial-tangential", Some([k1, k2, p1, p2, rest @ ..])) if rest.len() <= 1 => {
-                let k3 = rest.first().copied().unwrap_or(0.0);
-                let [k1, k2, p1, p2] = [*k1, *k2, *p1, *p2];
-                Distortion::RadialTangential { k1, k2, p1, p2, k3 }
-            }
-            ("equidistant", Some([a, b, c, d])) => Distortion::Equidistant {
-                k: [*a, *b, *c, *d],
-            },
-            ("fov", Some([omega])) => Distortion::Fov { omega: *omega },
-            (model, Some(numbers)) => {
-                return Err(value(format!(
-                    "model {model:?} with {} numbers, expected \"radial-tangential\" with k1, k2, p1, p2 and perhaps k3, \
-                     \"equidistant\" with four, or \"fov\" with one",
-                    numbers.len()
-                )));
-            }
+        let distortion = match distortion.as_deref() {
+            None | Some([]) => Distortion::None,
+            Some(coefficients) => Distortion::from_name(model, coefficients).map_err(value)?,
         };
         let pinhole = Pinhole::new(fx, fy, cx, cy);
         let camera = monogrid::Camera {

@@ -1,6 +1,6 @@
-//! Calibration formats made of lines of numbers: one line, LSD-SLAM, DSO, KITTI.
+//! Calibration formats made of lines of numbers: one line, LSD-SLAM, DSO.
 
-use super::{colmap, equidistant, fov, pixel_count, radial_tangential, relative_or_pixels};
+use super::{Images, colmap, fov, kitti, lens, pixel_count, radial_tangential, relative_or_pixels};
 use crate::text::{data_lines, numbers};
 use crate::{Calibration, DatasetError};
 use monogrid_geometry::{Camera, Distortion, Pinhole};
@@ -10,14 +10,14 @@ use std::path::Path;
 pub(super) fn parse(
     text: &str,
     path: &Path,
-    image_size: Option<(usize, usize)>,
+    images: Images<'_>,
 ) -> Result<Calibration, DatasetError> {
     let (shutter, lines): (Vec<_>, Vec<_>) =
         data_lines(text).partition(|(_, line)| line.starts_with(ROLLING_SHUTTER));
     let readout_ms = shutter.first().map(|line| readout_ms(path, *line));
     Ok(Calibration {
         readout_ms: readout_ms.transpose()?,
-        ..parse_camera(&lines, path, image_size)?
+        ..parse_camera(&lines, path, images)?
     })
 }
 
@@ -35,7 +35,7 @@ fn readout_ms(path: &Path, (number, line): (usize, &str)) -> Result<f64, Dataset
 fn parse_camera(
     lines: &[(usize, &str)],
     path: &Path,
-    image_size: Option<(usize, usize)>,
+    images: Images<'_>,
 ) -> Result<Calibration, DatasetError> {
     let Some(&first) = lines.first() else {
         let expected = "fx fy cx cy width height in pixels";
@@ -46,10 +46,10 @@ fn parse_camera(
         return parse_dso(word, lines, path);
     }
     if colmap::is_camera(first.1) {
-        return colmap::parse(lines, path);
+        return colmap::parse(lines, path, images.size);
     }
-    if let Some(matrix) = kitti_matrix(lines) {
-        return kitti(&matrix, path, image_size);
+    if let Some(kitti) = kitti::parse(lines, path, images) {
+        return kitti;
     }
     let values = numbers(first.1).ok_or_else(|| unknown(path, first))?;
     match (values.len(), lines.len()) {
@@ -60,8 +60,8 @@ fn parse_camera(
 }
 
 fn unknown(path: &Path, (number, line): (usize, &str)) -> DatasetError {
-    let expected = "fx fy cx cy [omega | k1 k2 p1 p2 [k3]] width height in pixels, a file of LSD-SLAM or DSO, or \
-                    KITTI's calib.txt";
+    let expected = "fx fy cx cy [omega | k1 k2 p1 p2 [k3]] width height in pixels, a file of LSD-SLAM or DSO, \
+                    COLMAP's cameras.txt, KITTI's calib.txt, or one of the other formats in docs/formats.md";
     DatasetError::line(path, number, line, expected)
 }
 
@@ -171,35 +171,13 @@ fn parse_dso(
         ("pinhole", [] | [_]) => (Distortion::None, "DSO file, Pinhole"),
         ("fov", &[omega]) => (fov(omega), "DSO file, FOV model"),
         ("radtan", [_, _, _, _]) => (radial_tangential(rest), "DSO file, RadTan model"),
-        ("equidistant" | "kannalabrandt", &[k1, k2, k3, k4]) => {
+        ("equidistant" | "kannalabrandt", [_, _, _, _]) => {
             let format = "DSO file, equidistant (Kannala-Brandt) model";
-            (equidistant([k1, k2, k3, k4]), format)
+            (lens(model, rest, path)?, format)
         }
         _ => return Err(wrong()),
     };
     let mut draft = Calibration::draft(size, pinhole, distortion, format);
     note_units(&mut draft, relative, lines);
     Ok(draft)
-}
-
-/// The first projection matrix of KITTI's `calib.txt`, with or without `P0:` in front.
-fn kitti_matrix(lines: &[(usize, &str)]) -> Option<[f64; 12]> {
-    let of_label = |label: &str| lines.iter().find_map(|(_, line)| line.strip_prefix(label));
-    let labelled = of_label("P0:").or_else(|| of_label("P_rect_00:"));
-    let line = labelled.or_else(|| lines.first().map(|l| l.1))?;
-    numbers(line)?.try_into().ok()
-}
-
-fn kitti(
-    matrix: &[f64; 12],
-    path: &Path,
-    image_size: Option<(usize, usize)>,
-) -> Result<Calibration, DatasetError> {
-    let size = image_size.ok_or_else(|| {
-        let found = "a KITTI projection matrix without the size of the images";
-        DatasetError::content(path, found, "images beside it, to take the size from")
-    })?;
-    let pinhole = Pinhole::new(matrix[0], matrix[5], matrix[2], matrix[6]);
-    let format = "KITTI calib.txt, first camera";
-    Ok(Calibration::draft(size, pinhole, Distortion::None, format))
 }

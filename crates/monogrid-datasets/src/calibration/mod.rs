@@ -6,29 +6,35 @@
 //! * one line `fx fy cx cy [omega | k1 k2 p1 p2 [k3]] width height`, in pixels;
 //! * LSD-SLAM's and PTAM's files of four lines (5 relative numbers with the FOV model's omega, or 8
 //!   numbers of OpenCV's model), and DSO's with a model name in front;
-//! * EuRoC's `sensor.yaml`, Kalibr's `camchain.yaml`, ROS' `camera_info` YAML;
-//! * ORB-SLAM's and stella's YAML (keys `Camera.fx` or `Camera1.fx`, or `fx` under `Camera`);
-//! * COLMAP's `cameras.txt` and `cameras.bin`;
-//! * KITTI's `calib.txt` (first projection matrix; needs the size of the images).
+//! * YAML of EuRoC, Kalibr, ROS (`camera_info`, and a `CameraInfo` as `topic echo` prints it), OpenCV (also
+//!   its XML), ORB-SLAM, stella and VINS, told apart by their keys; ROS' `ost.txt`; Basalt's JSON;
+//! * COLMAP's `cameras.txt` and `cameras.bin` (the camera whose size is that of the images);
+//! * KITTI's `calib.txt` (first projection matrix; needs the size of the images) and the
+//!   `calib_cam_to_cam.txt` of its raw recordings.
 //!
 //! The centre of the top-left pixel is (0, 0) in the result. Formats with *relative* values count from
 //! the corner of that pixel, so half a pixel is subtracted for them and only for them.
 
+mod basalt;
+mod cameras;
 mod colmap;
+mod document;
+mod kitti;
 mod lines;
 mod photometric;
 mod toml_format;
-mod yaml;
 
 pub use photometric::{read_photometric, read_response, read_vignette};
 
 use crate::DatasetError;
-use crate::text::read_text;
+use crate::text::{data_lines, read_text};
 use monogrid_geometry::{Camera, Distortion, Pinhole, Se3};
 use std::path::{Path, PathBuf};
 
+pub(crate) use cameras::sensor_yaml;
 pub(crate) use lines::camera_from_numbers;
-pub(crate) use yaml::sensor_yaml;
+
+use document::Document;
 
 /// A camera as read from a file, and how the file was understood.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,16 +56,26 @@ pub struct Calibration {
 impl Calibration {
     /// Reads a calibration of any supported format.
     ///
-    /// `image_size` (width, height) is used by formats that do not say the size.
+    /// `image_size` (width, height) is used by formats that do not say the size, and to choose
+    /// among several cameras.
     ///
     /// # Errors
     /// When the file cannot be read or understood, or its numbers are not those of a real camera.
     pub fn read(path: &Path, image_size: Option<(usize, usize)>) -> Result<Self, DatasetError> {
+        let images = Images {
+            size: image_size,
+            folder: None,
+        };
+        Self::read_for(path, images)
+    }
+
+    /// Reads the calibration of these images.
+    pub(crate) fn read_for(path: &Path, images: Images<'_>) -> Result<Self, DatasetError> {
         let text = match path.extension() {
             Some(extension) if extension.eq_ignore_ascii_case("bin") => colmap::read_binary(path)?,
             _ => read_text(path)?,
         };
-        Self::parse(&text, path, image_size)
+        Self::parse_for(&text, path, images)
     }
 
     /// Parses the content of a calibration file; `path` is only for messages.
@@ -71,12 +87,25 @@ impl Calibration {
         path: &Path,
         image_size: Option<(usize, usize)>,
     ) -> Result<Self, DatasetError> {
+        let images = Images {
+            size: image_size,
+            folder: None,
+        };
+        Self::parse_for(text, path, images)
+    }
+
+    fn parse_for(text: &str, path: &Path, images: Images<'_>) -> Result<Self, DatasetError> {
         let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+        let content = text.trim_start();
+        let of_keys = |document: &Document| cameras::parse(document, path, images.size);
         let draft = match extension.as_deref() {
             Some("toml") => toml_format::parse(text, path)?,
-            Some("yaml" | "yml") => yaml::parse(text, path, image_size)?,
-            _ if text.trim_start().starts_with("%YAML") => yaml::parse(text, path, image_size)?,
-            _ => lines::parse(text, path, image_size)?,
+            _ if content.starts_with('<') => of_keys(&Document::xml(text, path)?)?,
+            _ if content.starts_with('{') => basalt::parse(text, path)?,
+            Some("yaml" | "yml") => of_keys(&Document::yaml(text))?,
+            _ if is_ost(text) => ost(text, path, images)?,
+            _ if is_yaml(text) => of_keys(&Document::yaml(text))?,
+            _ => lines::parse(text, path, images)?,
         };
         draft.check(path)
     }
@@ -95,7 +124,7 @@ impl Calibration {
             other => {
                 let value = |(name, value): &(_, f64)| format!("{name} = {value}");
                 let values: Vec<String> = other.parameters().iter().map(value).collect();
-                format!("{} ({})", model_name(&other), values.join(", "))
+                format!("{} ({})", other.name(), values.join(", "))
             }
         };
         let mut text = format!(
@@ -122,14 +151,50 @@ impl Calibration {
     }
 }
 
-/// Name of a distortion model in our own format.
-fn model_name(distortion: &Distortion) -> &'static str {
-    match distortion {
-        Distortion::None => "pinhole",
-        Distortion::RadialTangential { .. } => "radial-tangential",
-        Distortion::Fov { .. } => "fov",
-        Distortion::Equidistant { .. } => "equidistant",
+/// The images that a calibration is wanted for.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Images<'a> {
+    /// Width and height, px, where they are known.
+    pub size: Option<(usize, usize)>,
+    /// Name of the folder of this camera, where it tells cameras apart.
+    pub folder: Option<&'a str>,
+}
+
+/// Whether a text has the sections of ROS' `ost.txt`.
+fn is_ost(text: &str) -> bool {
+    let mut lines = data_lines(text).map(|(_, line)| line);
+    lines.any(|line| line == "camera matrix") && text.contains("[image]")
+}
+
+/// The camera of an `ost.txt`, which does not name the model of its lens.
+fn ost(text: &str, path: &Path, images: Images<'_>) -> Result<Calibration, DatasetError> {
+    let document = Document::ost(text);
+    let lens = document.list(&["distortion"], path)?.unwrap_or_default();
+    if lens.len() == 4 {
+        let found = "4 coefficients (of a fisheye, or of another lens)";
+        let expected = "5 or 8; the YAML file that was written beside it names the model";
+        return Err(DatasetError::content(path, found, expected));
     }
+    cameras::parse(&document, path, images.size)
+}
+
+/// Whether a text is one of keys in lines, and not one of KITTI's.
+fn is_yaml(text: &str) -> bool {
+    let first = text.lines().map(str::trim);
+    let mut first = first.filter(|line| !line.is_empty() && !line.starts_with('#'));
+    let Some(line) = first.next() else {
+        return false;
+    };
+    let is_word = |key: &str| key.chars().all(|c| c.is_alphanumeric() || "_.".contains(c));
+    let key = line.split_once(':').map(|(key, _)| key.trim());
+    let has_key = key.is_some_and(is_word) && !kitti::has_labels(text);
+    has_key || line.starts_with("%YAML") || line.starts_with("---")
+}
+
+/// The lens of a model of this name; see [`Distortion::from_name`].
+fn lens(model: &str, coefficients: &[f64], path: &Path) -> Result<Distortion, DatasetError> {
+    let lens = Distortion::from_name(model, coefficients);
+    lens.map_err(|e| DatasetError::calibration(path, e.to_string()))
 }
 
 /// Times from the first row to the last that a sensor can take, ms; negative where the image is upside down.
@@ -220,9 +285,4 @@ fn fov(omega: f64) -> Distortion {
         true => Distortion::None,
         false => Distortion::Fov { omega },
     }
-}
-
-/// Kannala and Brandt's model with k1, k2, k3, k4.
-fn equidistant(k: [f64; 4]) -> Distortion {
-    Distortion::Equidistant { k }
 }

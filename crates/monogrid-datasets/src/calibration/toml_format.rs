@@ -3,20 +3,21 @@
 //! ```toml
 //! width = 640                      # pixels
 //! height = 480
-//! model = "radial-tangential"      # pinhole, radial-tangential, fov, equidistant
+//! model = "radial-tangential"      # "pinhole" (default), or a name of `Distortion::from_name`
 //! units = "pixels"                 # of fx, fy, cx, cy: "pixels" or "relative" to width and height
 //! pixel_center = "integer"         # centre of the top-left pixel: "integer" (0, 0), "half" (0.5, 0.5)
 //! fx = 458.654
 //! fy = 457.296
 //! cx = 367.215
 //! cy = 248.375
-//! distortion = [-0.28, 0.07, 0.0002, 0.00002, 0.0]  # k1 k2 p1 p2 [k3]; omega (rad); k1 k2 k3 k4
+//! # in the order of `Distortion::parameters`
+//! distortion = [-0.28, 0.07, 0.0002, 0.00002, 0.0]
 //! rolling_shutter_ms = 24.5        # from the first row to the last; left out where all are read at once
 //! ```
 
-use super::{equidistant, fov, model_name, radial_tangential};
+use super::lens;
 use crate::{Calibration, DatasetError};
-use monogrid_geometry::{Camera, Distortion, Pinhole};
+use monogrid_geometry::{Camera, Pinhole};
 use serde::Deserialize;
 use std::fmt::Write;
 use std::path::Path;
@@ -26,8 +27,8 @@ use std::path::Path;
 struct File {
     width: usize,
     height: usize,
-    #[serde(default)]
-    model: Model,
+    #[serde(default = "pinhole")]
+    model: String,
     #[serde(default)]
     units: Units,
     #[serde(default)]
@@ -41,17 +42,8 @@ struct File {
     rolling_shutter_ms: Option<f64>,
 }
 
-#[derive(Deserialize, Default, Clone, Copy, PartialEq)]
-#[serde(rename_all = "kebab-case")]
-enum Model {
-    #[default]
-    Pinhole,
-    #[serde(alias = "radtan", alias = "opencv")]
-    RadialTangential,
-    #[serde(alias = "atan")]
-    Fov,
-    #[serde(alias = "kannala-brandt", alias = "fisheye")]
-    Equidistant,
+fn pinhole() -> String {
+    "pinhole".to_owned()
 }
 
 #[derive(Deserialize, Default, Clone, Copy, PartialEq)]
@@ -87,24 +79,7 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<Calibration, DatasetError
         file.cx * scale_x - shift,
         file.cy * scale_y - shift,
     );
-    let distortion = match (file.model, file.distortion.as_slice()) {
-        (Model::Pinhole, []) => Distortion::None,
-        (Model::RadialTangential, lens @ ([_, _, _, _] | [_, _, _, _, _])) => {
-            radial_tangential(lens)
-        }
-        (Model::Fov, &[omega]) => fov(omega),
-        (Model::Equidistant, &[k1, k2, k3, k4]) => equidistant([k1, k2, k3, k4]),
-        (model, found) => {
-            let expected = match model {
-                Model::Pinhole => "none for model = \"pinhole\" (name the model)",
-                Model::RadialTangential => "k1 k2 p1 p2 and optionally k3",
-                Model::Fov => "omega alone",
-                Model::Equidistant => "k1 k2 k3 k4",
-            };
-            let reason = format!("distortion has {} values, expected {expected}", found.len());
-            return Err(DatasetError::calibration(path, reason));
-        }
-    };
+    let distortion = lens(&file.model, &file.distortion, path)?;
     let size = (file.width, file.height);
     let mut draft = Calibration::draft(size, pinhole, distortion, "calibration.toml");
     draft.readout_ms = file.rolling_shutter_ms;
@@ -125,7 +100,7 @@ pub(super) fn format(camera: &Camera, readout_ms: Option<f64>) -> String {
          fx = {fx:?}\nfy = {fy:?}\ncx = {cx:?}\ncy = {cy:?}\n",
         camera.width,
         camera.height,
-        model_name(&camera.distortion),
+        camera.distortion.name(),
     );
     let parameters = camera.distortion.parameters();
     let values = parameters.iter().map(|(_, value)| format!("{value:?}"));

@@ -1,7 +1,8 @@
-//! Images recognised by content: PNG, JPEG, PBM/PGM/PPM; 8 and 16 bits; grey or colour.
+//! Images recognised by content: PNG, JPEG, PBM/PGM/PPM, TIFF, WebP; 8 and 16 bits; grey or colour.
 
-use super::jpeg;
+use super::levels::Levels;
 use super::raster::{Raster, Samples, decode_png, decode_pnm};
+use super::{jpeg, others};
 use crate::{DatasetError, read_file};
 use monogrid_image::{GrayImage, Image, Mask};
 use std::path::Path;
@@ -24,23 +25,33 @@ pub(super) fn max_pixels_of(num_bytes: usize) -> usize {
 }
 
 /// Most memory that a decoder may ask for, bytes.
-const MAX_DECODE_BYTES: usize = 4 * MAX_PIXELS;
+pub(super) const MAX_DECODE_BYTES: usize = 4 * MAX_PIXELS;
 
 /// What the first bytes of an image announce.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Format {
+pub(super) enum Format {
     Jpeg,
     Png,
     Pnm,
+    Tiff,
+    WebP,
 }
 
 /// Reads an image as ITU-601 luma in [0, 255].
 ///
 /// # Errors
-/// When the file cannot be read, is not a PNG, JPEG, PBM, PGM or PPM, or is not complete and undamaged
-/// (a partly decoded image is never returned).
+/// When the file cannot be read, is not a PNG, JPEG, PBM, PGM, PPM, TIFF or WebP, or is not
+/// complete and undamaged (a partly decoded image is never returned).
 pub fn read_gray(path: &Path) -> Result<GrayImage, DatasetError> {
-    decode_gray(&read_image_file(path)?, path)
+    read_gray_in(path, Levels::ALL)
+}
+
+/// Reads an image of a sequence that uses so much of its 16 bits, if it has as many.
+///
+/// # Errors
+/// As [`read_gray`].
+pub fn read_gray_in(path: &Path, levels: Levels) -> Result<GrayImage, DatasetError> {
+    decode_gray_in(&read_image_file(path)?, levels, path)
 }
 
 /// Decodes an image as ITU-601 luma in [0, 255]; `path` is only for messages.
@@ -48,10 +59,14 @@ pub fn read_gray(path: &Path) -> Result<GrayImage, DatasetError> {
 /// # Errors
 /// As [`read_gray`].
 pub fn decode_gray(bytes: &[u8], path: &Path) -> Result<GrayImage, DatasetError> {
+    decode_gray_in(bytes, Levels::ALL, path)
+}
+
+fn decode_gray_in(bytes: &[u8], levels: Levels, path: &Path) -> Result<GrayImage, DatasetError> {
     if sniff(bytes, path)? == Format::Jpeg {
         return Ok(decode_jpeg_luma(bytes, MAX_PIXELS, path)?.map(f32::from));
     }
-    to_gray(&decode_raster(bytes, path)?, path)
+    to_gray(&decode_raster(bytes, path)?, levels, path)
 }
 
 /// Decodes a JPEG image to its 8-bit luma (ITU-601); `path` is only for messages.
@@ -86,13 +101,21 @@ pub(super) fn image_of<T: Copy>(
 /// # Errors
 /// As [`read_gray`].
 pub fn read_rgb(path: &Path) -> Result<Option<Image<[u8; 3]>>, DatasetError> {
+    read_rgb_in(path, Levels::ALL)
+}
+
+/// Reads an image in colour of a sequence that uses so much of its 16 bits, if it has as many.
+///
+/// # Errors
+/// As [`read_gray`].
+pub fn read_rgb_in(path: &Path, levels: Levels) -> Result<Option<Image<[u8; 3]>>, DatasetError> {
     let bytes = read_image_file(path)?;
     let image = if sniff(&bytes, path)? == Format::Jpeg {
         decode_jpeg_rgb(&bytes, MAX_PIXELS, path)?
     } else {
         let raster = decode_raster(&bytes, path)?;
-        let to_byte = 255.0 / f32::from(raster.white);
-        let rgb = |pixel: &[f32]| [0, 1, 2].map(|k| (pixel[k] * to_byte).round() as u8);
+        let show = to_byte(&raster, levels);
+        let rgb = |pixel: &[f32]| [0, 1, 2].map(|k| show(pixel[k]).round() as u8);
         let image = || Image::from_vec(raster.width, raster.height, raster.map(rgb));
         raster.has_colour().then(image).flatten()
     };
@@ -135,12 +158,32 @@ pub(super) fn read_image_file(path: &Path) -> Result<Vec<u8>, DatasetError> {
 }
 
 /// The format that the first bytes announce.
-fn sniff(bytes: &[u8], path: &Path) -> Result<Format, DatasetError> {
+pub(super) fn sniff(bytes: &[u8], path: &Path) -> Result<Format, DatasetError> {
     match bytes {
         [] => Err(DatasetError::image(path, "the file is empty")),
         [0xff, 0xd8, ..] => Ok(Format::Jpeg),
         [0x89, b'P', b'N', b'G', ..] => Ok(Format::Png),
         [b'P', b'1'..=b'6', ..] => Ok(Format::Pnm),
+        [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => Ok(Format::Tiff),
+        [
+            b'R',
+            b'I',
+            b'F',
+            b'F',
+            _,
+            _,
+            _,
+            _,
+            b'W',
+            b'E',
+            b'B',
+            b'P',
+            ..,
+        ] => Ok(Format::WebP),
+        [b'B', b'M', ..] => Err(DatasetError::image(
+            path,
+            "a BMP, which is not read; PNG is",
+        )),
         _ => {
             let reason = "its content is no format that we know";
             Err(DatasetError::image(path, reason))
@@ -152,6 +195,8 @@ fn sniff(bytes: &[u8], path: &Path) -> Result<Format, DatasetError> {
 pub(super) fn decode_raster(bytes: &[u8], path: &Path) -> Result<Raster, DatasetError> {
     let decoded = match sniff(bytes, path)? {
         Format::Pnm => decode_pnm(bytes),
+        Format::Tiff => others::decode_tiff(bytes),
+        Format::WebP => others::decode_webp(bytes),
         Format::Png | Format::Jpeg => decode_png(bytes, [MAX_SIDE; 2], MAX_DECODE_BYTES),
     };
     decoded.map_err(|e| DatasetError::image(path, e))
@@ -171,13 +216,27 @@ pub(crate) fn decode_png_luma8(bytes: &[u8], width: usize, height: usize) -> Opt
 }
 
 /// Luma of every pixel type; transparency is ignored.
-fn to_gray(raster: &Raster, path: &Path) -> Result<GrayImage, DatasetError> {
-    let to_byte = 255.0 / f32::from(raster.white);
-    let data = match raster.has_colour() {
-        true => raster.map(|pixel| luma([pixel[0], pixel[1], pixel[2]]) * to_byte),
-        false => raster.map(|pixel| pixel[0] * to_byte),
-    };
+fn to_gray(raster: &Raster, levels: Levels, path: &Path) -> Result<GrayImage, DatasetError> {
+    let show = to_byte(raster, levels);
+    let data = raster.map(|pixel| show(luma_of(pixel)));
     image_of(raster.width, raster.height, data, path)
+}
+
+/// How a sample of an image becomes one of [0, 255]: the levels are those of 16 bits of which
+/// nothing says how many are used.
+fn to_byte(raster: &Raster, levels: Levels) -> impl Fn(f32) -> f32 + use<> {
+    let to_byte = 255.0 / f32::from(raster.white);
+    let own = (raster.has_all_words() && levels != Levels::ALL).then_some(levels);
+    move |value| own.map_or(value * to_byte, |levels| levels.show(value))
+}
+
+/// Luma of a pixel with or without colour and opacity.
+pub(super) fn luma_of(pixel: &[f32]) -> f32 {
+    match *pixel {
+        [r, g, b, ..] => luma([r, g, b]),
+        [grey, ..] => grey,
+        [] => 0.0,
+    }
 }
 
 /// ITU-601 luma.

@@ -119,7 +119,7 @@ pub(super) fn decode_pnm(bytes: &[u8]) -> Result<Raster, String> {
 }
 
 /// Refuses what a damaged header says.
-fn check_size(
+pub(super) fn check_size(
     width: usize,
     height: usize,
     [widest, highest]: [usize; 2],

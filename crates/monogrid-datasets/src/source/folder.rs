@@ -1,22 +1,38 @@
-//! Folders of images without a list: plain, TUM monoVO and KITTI.
+//! Folders of images without a list: plain, TUM monoVO, KITTI and 7-Scenes.
 
-use super::{DEFAULT_FPS, Dataset, Layout, Parts, SourceOptions, natural_order};
+use super::kinds::{Kinds, kinds_of};
+use super::{
+    DEFAULT_FPS, Dataset, DepthEntry, Layout, Parts, SourceOptions, natural_order, note_unit,
+};
 use crate::DatasetError;
 use crate::archive::Archive;
 use crate::files::{is_file, is_folder, paths_in};
 use crate::text::{data_lines, read_text};
-use crate::timestamp::parse_seconds;
+use crate::timestamp::{TimeUnit, parse_date};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Subfolders in which images may lie, in the order of preference.
-const IMAGE_FOLDERS: [&str; 8] = [
-    "images", "rgb", "image_0", "image_00", "image_2", "data", "frames", "color",
+const IMAGE_FOLDERS: [&str; 12] = [
+    "images",
+    "rgb",
+    "image_0",
+    "image_00",
+    "image_2",
+    "data",
+    "frames",
+    "color",
+    "image_00/data",
+    "image_01/data",
+    "image_02/data",
+    "image_03/data",
 ];
 
 /// File names that are taken for images; their content decides about the format.
-const IMAGE_EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm"];
+const IMAGE_EXTENSIONS: [&str; 9] = [
+    "png", "jpg", "jpeg", "pgm", "ppm", "pnm", "tif", "tiff", "webp",
+];
 
 /// Images that belong to the calibration, not to the sequence.
 const NOT_FRAMES: [&str; 3] = ["vignette.png", "vignettesmoothed.png", "mask.png"];
@@ -28,31 +44,84 @@ pub(super) fn open(root: &Path, options: SourceOptions) -> Result<Dataset, Datas
         images,
         archive,
     } = find_images(root)?;
-    let times_file = [root.join("times.txt"), folder.join("../times.txt")]
+    let Kinds {
+        colours: images,
+        depths,
+        poses,
+    } = kinds_of(images);
+    let times_file = ["times.txt", "timestamps.txt"]
         .into_iter()
+        .flat_map(|name| [root.join(name), folder.with_file_name(name)])
         .find(|p| is_file(p));
+    let is_at_rate = times_file.is_none();
     let note = archive.as_ref().and_then(|archive| archive.note());
     let mut warnings: Vec<String> = note.into_iter().collect();
     let (layout, entries) = match times_file {
         Some(times) => read_times(&times, images, &mut warnings)?,
         None => {
-            warn_name_order(&folder, &images, &mut warnings);
-            let entries = timed_at_rate(images, options, &folder, &mut warnings)?;
+            let entries = timed(images, options, &folder, &mut warnings)?;
             (Layout::Folder, entries)
         }
     };
+    let layout = match (layout, poses.is_empty()) {
+        (Layout::Folder, false) => Layout::SevenScenes,
+        (layout, _) => layout,
+    };
+    let (depths, pose_files) = (depths.timed(&entries), poses.timed(&entries));
+    let depth = |(timestamp_ns, path)| DepthEntry { timestamp_ns, path };
     Dataset::assemble(
         Parts {
             root: root.to_path_buf(),
             layout,
             list: folder,
+            is_at_rate,
             entries,
+            depths: depths.into_iter().map(depth).collect(),
+            pose_files,
             warnings,
             archive,
             ..Parts::default()
         },
         options,
     )
+}
+
+/// The images of a folder with the times that are their names, else at a constant rate.
+pub(super) fn timed_by_name(
+    folder: &Path,
+    options: SourceOptions,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<(i64, PathBuf)>, DatasetError> {
+    timed(images_in(folder)?, options, folder, warnings)
+}
+
+/// Images in natural order with the times that are their names, where these are dates of our time
+/// and nobody gave a rate; else at a constant rate.
+fn timed(
+    images: Vec<PathBuf>,
+    options: SourceOptions,
+    folder: &Path,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<(i64, PathBuf)>, DatasetError> {
+    let name = |path: &PathBuf| Some(path.file_stem()?.to_str()?.to_owned());
+    let names: Option<Vec<String>> = images.iter().map(name).collect();
+    let names = names.unwrap_or_default();
+    let unit = TimeUnit::of_dates(names.iter().map(String::as_str));
+    if let Some(unit) = unit.filter(|_| options.fps.is_none()) {
+        let timed = names.iter().zip(&images);
+        let timed = timed.map(|(name, path)| Some((unit.parse(name)?, path.clone())));
+        if let Some(mut timed) = timed.collect::<Option<Vec<_>>>() {
+            warnings.push(format!(
+                "the names of the images in {} are taken for their times, in {}",
+                folder.display(),
+                unit.name()
+            ));
+            timed.sort();
+            return Ok(timed);
+        }
+    }
+    warn_name_order(folder, &images, warnings);
+    timed_at_rate(images, options, folder, warnings)
 }
 
 /// The folder with images and its images in natural order.
@@ -90,7 +159,7 @@ fn find_images(root: &Path) -> Result<Images, DatasetError> {
         0 => "an empty folder".to_owned(),
         n => format!("{n} files and folders, none of them an image or a list of images"),
     };
-    let expected = "PNG, JPEG, PGM or PPM images, rgb.txt, times.txt with images/, or mav0/";
+    let expected = "images, rgb.txt, times.txt with images/, or mav0/";
     Err(DatasetError::no_frames(root, found, expected))
 }
 
@@ -156,7 +225,11 @@ fn read_times(
     warnings: &mut Vec<String>,
 ) -> Result<(Layout, Vec<(i64, PathBuf)>), DatasetError> {
     let text = read_text(times)?;
-    let (with_ids, parsed) = parse_times(&text, times)?;
+    if let Some(dates) = parse_dates(&text, times) {
+        return Ok((Layout::KittiRaw, numbered(&dates?, images)));
+    }
+    let (with_ids, parsed, unit) = parse_times(&text, times)?;
+    note_unit(times, unit, TimeUnit::Seconds, warnings);
     if parsed.len() != images.len() {
         warnings.push(format!(
             "{} has {} times for {} images; only those with both are used",
@@ -189,24 +262,49 @@ fn read_times(
     Ok((Layout::TumMonoVo, entries))
 }
 
+/// The dates of a raw recording of KITTI, one for each line.
+fn parse_dates(text: &str, times: &Path) -> Option<Result<Vec<i64>, DatasetError>> {
+    parse_date(data_lines(text).next()?.1)?;
+    let date = |(number, line)| {
+        let expected = "a date such as 2011-09-26 13:02:25.964389445";
+        parse_date(line).ok_or_else(|| DatasetError::line(times, number, line, expected))
+    };
+    Some(data_lines(text).map(date).collect())
+}
+
+/// Images with the times of the lines that have their numbers, from 0; with those of the lines in
+/// turn where their names are no numbers.
+fn numbered(times_ns: &[i64], images: Vec<PathBuf>) -> Vec<(i64, PathBuf)> {
+    let timed = |(turn, path): (usize, PathBuf)| {
+        let number = path.file_stem()?.to_str()?.parse().ok();
+        Some((*times_ns.get(number.unwrap_or(turn))?, path))
+    };
+    images.into_iter().enumerate().filter_map(timed).collect()
+}
+
 /// First word and time of each line.
 type Times<'a> = Vec<(&'a str, i64)>;
 
-/// Whether the lines begin with ids, and per line its first word and its time.
-fn parse_times<'a>(text: &'a str, times: &Path) -> Result<(bool, Times<'a>), DatasetError> {
+/// Whether the lines begin with ids, per line its first word and its time, and their unit.
+fn parse_times<'a>(
+    text: &'a str,
+    times: &Path,
+) -> Result<(bool, Times<'a>, TimeUnit), DatasetError> {
     let mut lines = data_lines(text).peekable();
     let first = lines.peek();
     let with_ids = first.is_some_and(|(_, line)| line.split_whitespace().nth(1).is_some());
     let column = usize::from(with_ids);
+    let in_column = |line: &'a str| line.split_whitespace().nth(column);
+    let unit = TimeUnit::of(data_lines(text).filter_map(|(_, line)| in_column(line)));
     let parse = |(number, line): (usize, &'a str)| {
         let id = line.split_whitespace().next().unwrap_or_default();
-        let time = line.split_whitespace().nth(column).and_then(parse_seconds);
+        let time = in_column(line).and_then(|time| unit.parse(time));
         time.map(|time| (id, time)).ok_or_else(|| {
             let expected = "a time in seconds, or id, time and exposure";
             DatasetError::line(times, number, line, expected)
         })
     };
-    Ok((with_ids, lines.map(parse).collect::<Result<_, _>>()?))
+    Ok((with_ids, lines.map(parse).collect::<Result<_, _>>()?, unit))
 }
 
 /// Times with the images that are called as their ids.

@@ -42,6 +42,7 @@ pub(super) fn open_list(list: &Path, options: SourceOptions) -> Result<Dataset, 
             root,
             list: list.to_path_buf(),
             entries,
+            is_at_rate: true,
             warnings,
             ..Parts::default()
         },

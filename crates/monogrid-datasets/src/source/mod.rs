@@ -1,10 +1,12 @@
-//! Image sequences on disk: TUM layout, TUM monoVO, EuRoC, KITTI, plain folders; each also as a zip or tar file.
+//! Image sequences on disk: TUM layout, TUM monoVO, EuRoC, KITTI, 7-Scenes, plain folders; each
+//! also as a zip or tar file.
 //!
 //! [`Dataset::open`] looks at what is there and returns a time-ordered list of frames with
 //! whatever belongs to them. Nothing is decoded here; see [`crate::read_gray`].
 
 mod euroc;
 mod folder;
+mod kinds;
 mod list;
 mod natural;
 mod reference;
@@ -13,8 +15,11 @@ mod tum;
 pub use natural::natural_order;
 
 use crate::archive::{self, Archive};
+use crate::calibration::Images;
 use crate::files::is_file;
-use crate::{Calibration, DatasetError, DepthCalibration};
+use crate::timestamp::TimeUnit;
+use crate::{Calibration, DatasetError, DepthCalibration, TUM_UNITS_PER_METRE};
+use monogrid_geometry::Camera;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -49,6 +54,10 @@ pub enum Layout {
     Euroc,
     /// `image_0` (or another camera) with `times.txt`.
     Kitti,
+    /// `image_00/data` (or another camera) with `image_00/timestamps.txt`.
+    KittiRaw,
+    /// `NAME.color.png`, `NAME.depth.png` and `NAME.pose.txt` side by side.
+    SevenScenes,
     /// Images in natural order of their names at a given rate.
     #[default]
     Folder,
@@ -63,6 +72,8 @@ impl Layout {
             Self::TumMonoVo => "TUM monoVO",
             Self::Euroc => "EuRoC",
             Self::Kitti => "KITTI",
+            Self::KittiRaw => "KITTI raw",
+            Self::SevenScenes => "7-Scenes",
             Self::Folder => "image folder",
         }
     }
@@ -94,8 +105,12 @@ pub struct Dataset {
     pub frames: Vec<FrameEntry>,
     /// Depth images in the order of time; often none.
     pub depths: Vec<DepthEntry>,
-    /// Reference trajectory.
+    /// Reference trajectory; of 7-Scenes the first of its files.
     pub ground_truth: Option<PathBuf>,
+    /// Files with the pose of a frame each, and its time, ns.
+    pose_files: Vec<(i64, PathBuf)>,
+    /// Stored value of one metre in depth images of which no calibration says it.
+    depth_units_per_metre: f64,
     /// Calibration of the camera.
     pub calibration_path: Option<PathBuf>,
     /// Calibration of the depth camera.
@@ -133,8 +148,8 @@ impl Dataset {
     }
 
     fn open_folder(path: &Path, options: SourceOptions) -> Result<Self, DatasetError> {
-        if let Some(mav0) = euroc::find(path) {
-            return euroc::open(path, &mav0, options);
+        if let Some(camera) = euroc::find(path) {
+            return euroc::open(path, &camera, options);
         }
         for name in ["rgb.txt", "gray.txt"] {
             let list = path.join(name);
@@ -172,8 +187,38 @@ impl Dataset {
         image_size: Option<(usize, usize)>,
     ) -> Result<Option<Calibration>, DatasetError> {
         let path = self.calibration_path.as_ref();
-        path.map(|path| Calibration::read(path, image_size))
+        path.map(|path| self.read_calibration(path, image_size))
             .transpose()
+    }
+
+    /// Reads a calibration for the images of this source: of a file for several cameras the one
+    /// whose folder these lie in, or whose size is theirs.
+    ///
+    /// # Errors
+    /// As [`Calibration::read`].
+    pub fn read_calibration(
+        &self,
+        path: &Path,
+        image_size: Option<(usize, usize)>,
+    ) -> Result<Calibration, DatasetError> {
+        let first = self.frames.first().and_then(|frame| frame.path.parent());
+        let folders = first.into_iter().flat_map(Path::ancestors);
+        let mut names = folders.filter_map(|folder| folder.file_name()?.to_str());
+        let images = Images {
+            size: image_size,
+            folder: names.find(|name| name.starts_with("image_")),
+        };
+        Calibration::read_for(path, images)
+    }
+
+    /// The calibration of depth images that show what the colour camera shows, in the units of this
+    /// layout.
+    #[must_use]
+    pub fn registered_depth(&self, colour: Camera) -> DepthCalibration {
+        DepthCalibration {
+            units_per_metre: self.depth_units_per_metre,
+            ..DepthCalibration::registered(colour)
+        }
     }
 
     /// The calibration of the depth camera that lies in the source; `None` when there is none.
@@ -218,7 +263,7 @@ impl Dataset {
             let (found, expected) = ("times or images, but not both", "a time for each image");
             return Err(DatasetError::no_frames(&list, found, expected));
         }
-        if options.fps.is_some() && layout != Layout::Folder {
+        if options.fps.is_some() && !parts.is_at_rate {
             warnings.push(format!(
                 "the frame rate that was given is not used: {} has its own times",
                 list.display()
@@ -228,7 +273,8 @@ impl Dataset {
         warn_missing(&list, &frames, &mut warnings)?;
         depths.sort_by_key(|d| d.timestamp_ns);
         let named = |names: &[&str]| names.iter().map(|n| root.join(n)).find(|p| is_file(p));
-        let truth = parts.ground_truth;
+        let first_pose = parts.pose_files.first().map(|(_, path)| path.clone());
+        let truth = parts.ground_truth.or(first_pose);
         let truth = truth.or_else(|| named(&["groundtruth.txt", "gt.txt", "poses.txt"]));
         let calibration = named(&["calibration.toml", "calibration.txt"]);
         let calibration = calibration.or(parts.calibration_path);
@@ -238,7 +284,14 @@ impl Dataset {
             frames,
             depths,
             ground_truth: truth.or_else(|| kitti_poses(&root, layout)),
-            calibration_path: calibration.or_else(|| named(&CALIBRATION_NAMES)),
+            pose_files: parts.pose_files,
+            depth_units_per_metre: match layout {
+                Layout::SevenScenes => 1000.0,
+                _ => TUM_UNITS_PER_METRE,
+            },
+            calibration_path: calibration
+                .or_else(|| named(&CALIBRATION_NAMES))
+                .or_else(|| kitti_raw_calibration(&root, layout)),
             depth_calibration_path: named(&["calibration_depth.txt"]),
             response_path: named(&["pcalib.txt"]),
             vignette_path: named(&["vignette.png"]),
@@ -257,8 +310,19 @@ fn kitti_poses(root: &Path, layout: Layout) -> Option<PathBuf> {
     (layout == Layout::Kitti && is_file(&path)).then_some(path)
 }
 
+/// KITTI's raw recordings have the calibration of a day in the folder around those of its drives.
+fn kitti_raw_calibration(root: &Path, layout: Layout) -> Option<PathBuf> {
+    let folders = root.ancestors().take(3);
+    let mut paths = folders.map(|folder| folder.join("calib_cam_to_cam.txt"));
+    paths.find(|path| layout == Layout::KittiRaw && is_file(path))
+}
+
 /// Names under which other programs keep calibrations, besides ours.
-const CALIBRATION_NAMES: [&str; 8] = [
+const CALIBRATION_NAMES: [&str; 14] = [
+    "calibration.yaml",
+    "calibration.yml",
+    "calibration.json",
+    "calibration.xml",
     "camera.txt",
     "cameras.txt",
     "cameras.bin",
@@ -267,6 +331,8 @@ const CALIBRATION_NAMES: [&str; 8] = [
     "sensor.yaml",
     "camera.yaml",
     "camchain.yaml",
+    "camera_info.yaml",
+    "ost.yaml",
 ];
 
 /// Where the readings of an inertial sensor are looked for.
@@ -280,8 +346,11 @@ struct Parts {
     /// File or folder to name in messages about frames.
     list: PathBuf,
     entries: Vec<(i64, PathBuf)>,
+    /// Whether nothing but a rate says when frames were taken.
+    is_at_rate: bool,
     depths: Vec<DepthEntry>,
     ground_truth: Option<PathBuf>,
+    pose_files: Vec<(i64, PathBuf)>,
     calibration_path: Option<PathBuf>,
     warnings: Vec<String>,
     archive: Option<Arc<Archive>>,
@@ -296,6 +365,7 @@ fn order_frames(
     let total = entries.len();
     let backwards = entries.windows(2).filter(|p| p[1].0 < p[0].0).count();
     if backwards > 0 {
+        check_jumps(list, &entries, backwards)?;
         warnings.push(format!(
             "time runs backwards {backwards} times in {}; the frames were sorted by time",
             list.display()
@@ -324,6 +394,57 @@ fn order_frames(
         path,
     };
     Ok(entries.into_iter().enumerate().map(frame).collect())
+}
+
+/// Steps of usual length that time may run backwards where frames are only out of order.
+const MAX_STEPS_BACK: i64 = 10;
+/// Frames for each step backwards of a clock that was set, or of recordings one behind the other.
+const FRAMES_PER_JUMP: usize = 50;
+
+/// Refuses times that rarely jump back, and far: sorted, the frames of two recordings would take
+/// turns.
+fn check_jumps(
+    list: &Path,
+    entries: &[(i64, PathBuf)],
+    backwards: usize,
+) -> Result<(), DatasetError> {
+    let step = |pair: &[(i64, PathBuf)]| pair[1].0.saturating_sub(pair[0].0);
+    let mut forwards: Vec<i64> = entries
+        .windows(2)
+        .map(step)
+        .filter(|step| *step > 0)
+        .collect();
+    forwards.sort_unstable();
+    let usual = forwards.get(forwards.len() / 2).copied().unwrap_or(0);
+    let largest = entries
+        .windows(2)
+        .map(step)
+        .enumerate()
+        .min_by_key(|(_, step)| *step);
+    match largest {
+        Some((before, step))
+            if backwards * FRAMES_PER_JUMP <= entries.len()
+                && step < -MAX_STEPS_BACK.saturating_mul(usual) =>
+        {
+            Err(DatasetError::TimesJumpBack {
+                path: list.to_path_buf(),
+                frame: before + 1,
+                seconds: -(step as f64) * 1e-9,
+            })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Says in which unit times were understood, where it is not the one that files of this kind have.
+fn note_unit(list: &Path, unit: TimeUnit, usual: TimeUnit, warnings: &mut Vec<String>) {
+    if unit != usual {
+        warnings.push(format!(
+            "the times in {} are taken for {}, by their size and steps",
+            list.display(),
+            unit.name()
+        ));
+    }
 }
 
 /// Complains about listed images that do not exist: all of them is an error, some a warning (a run

@@ -1,8 +1,8 @@
 //! The reference trajectory of a data set, as poses of its camera.
 
 use super::{Dataset, Layout};
-use crate::text::{data_lines, read_text};
-use crate::trajectory::{parse_kitti, parse_trajectory};
+use crate::text::{data_lines, numbers, read_text};
+use crate::trajectory::{parse_kitti, parse_trajectory, pose_from_matrix};
 use crate::{DatasetError, TimedPose};
 use monogrid_geometry::Se3;
 
@@ -10,7 +10,7 @@ impl Dataset {
     /// The reference trajectory, `None` when the source has none.
     ///
     /// EuRoC's poses are those of the body and become those of camera 0 with the `T_BS` of its
-    /// `sensor.yaml`; KITTI's have no times and take those of the frames.
+    /// `sensor.yaml`; KITTI's and those of 7-Scenes have no times and take those of the frames.
     ///
     /// # Errors
     /// When the file, or EuRoC's calibration, cannot be understood.
@@ -18,6 +18,9 @@ impl Dataset {
         let Some(path) = &self.ground_truth else {
             return Ok(None);
         };
+        if !self.pose_files.is_empty() {
+            return self.poses_of_frames().map(Some);
+        }
         let text = read_text(path)?;
         let words = data_lines(&text)
             .next()
@@ -37,5 +40,28 @@ impl Dataset {
             }
         }
         Ok(Some(poses))
+    }
+
+    /// The poses in a file each; where tracking of the data set failed, there is no rotation, and
+    /// no pose.
+    fn poses_of_frames(&self) -> Result<Vec<TimedPose>, DatasetError> {
+        let mut poses = Vec::new();
+        for (timestamp_ns, path) in &self.pose_files {
+            let text = read_text(path)?;
+            let rows: Option<Vec<Vec<f64>>> =
+                data_lines(&text).map(|(_, line)| numbers(line)).collect();
+            let values = rows.unwrap_or_default().concat();
+            if !matches!(values.len(), 12 | 16) {
+                let found = format!("{} numbers", values.len());
+                return Err(DatasetError::content(path, found, "a 4x4 matrix"));
+            }
+            poses.extend(
+                pose_from_matrix(&values).map(|world_from_camera| TimedPose {
+                    timestamp_ns: *timestamp_ns,
+                    world_from_camera,
+                }),
+            );
+        }
+        Ok(poses)
     }
 }

@@ -1,10 +1,10 @@
 //! TUM RGB-D layout: lists of time and relative path.
 
-use super::{Dataset, DepthEntry, Layout, Parts, SourceOptions};
+use super::{Dataset, DepthEntry, Layout, Parts, SourceOptions, note_unit};
 use crate::DatasetError;
 use crate::files::is_file;
-use crate::text::{data_lines, read_text};
-use crate::timestamp::parse_seconds;
+use crate::text::{data_lines, first_word, read_text};
+use crate::timestamp::TimeUnit;
 use std::path::{Path, PathBuf};
 
 /// Opens the sequence of `root` whose images are listed in `list`.
@@ -13,28 +13,29 @@ pub(super) fn open(
     list: &Path,
     options: SourceOptions,
 ) -> Result<Dataset, DatasetError> {
-    let entries = read_list(root, list)?;
+    let mut warnings = Vec::new();
+    let entries = read_list(root, list, &mut warnings)?;
     if entries.is_empty() {
         let (found, expected) = ("a list without lines", "lines of `timestamp path`");
         return Err(DatasetError::no_frames(list, found, expected));
     }
-    assemble(root, list, entries, options)
+    assemble(root, list, (entries, warnings), options)
 }
 
 /// Opens a folder that has `depth.txt` and no images.
 pub(super) fn open_depth(root: &Path, options: SourceOptions) -> Result<Dataset, DatasetError> {
-    assemble(root, &root.join("depth.txt"), Vec::new(), options)
+    assemble(root, &root.join("depth.txt"), Default::default(), options)
 }
 
 fn assemble(
     root: &Path,
     list: &Path,
-    entries: Vec<(i64, PathBuf)>,
+    (entries, mut warnings): (Vec<(i64, PathBuf)>, Vec<String>),
     options: SourceOptions,
 ) -> Result<Dataset, DatasetError> {
     let depth_list = root.join("depth.txt");
     let depths = match is_file(&depth_list) {
-        true => read_list(root, &depth_list)?,
+        true => read_list(root, &depth_list, &mut warnings)?,
         false => Vec::new(),
     };
     let depth = |(timestamp_ns, path)| DepthEntry { timestamp_ns, path };
@@ -45,6 +46,7 @@ fn assemble(
             list: list.to_path_buf(),
             entries,
             depths: depths.into_iter().map(depth).collect(),
+            warnings,
             ..Parts::default()
         },
         options,
@@ -52,13 +54,18 @@ fn assemble(
 }
 
 /// Lines of `timestamp path`; paths are relative to `root` and may contain blanks.
-pub(super) fn read_list(root: &Path, list: &Path) -> Result<Vec<(i64, PathBuf)>, DatasetError> {
+fn read_list(
+    root: &Path,
+    list: &Path,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<(i64, PathBuf)>, DatasetError> {
     let text = read_text(list)?;
+    let unit = TimeUnit::of(data_lines(&text).map(|(_, line)| first_word(line).0));
+    note_unit(list, unit, TimeUnit::Seconds, warnings);
     let entry = |(number, line): (usize, &str)| {
-        let words = line.split_once(|c: char| c.is_whitespace() || c == ',');
-        let (time, path) = words.unwrap_or((line, ""));
+        let (time, path) = first_word(line);
         let path = path.trim();
-        match parse_seconds(time) {
+        match unit.parse(time) {
             Some(timestamp_ns) if !path.is_empty() => Ok((timestamp_ns, root.join(path))),
             _ => {
                 let expected = "a time in seconds and the path of an image";

@@ -287,6 +287,19 @@ fn any_camera() -> impl Strategy<Value = Camera> {
             .prop_map(|(k1, k2, p1, p2, k3)| Distortion::RadialTangential { k1, k2, p1, p2, k3 }),
         (0.1..1.2).prop_map(|omega| Distortion::Fov { omega }),
         prop::array::uniform4(-0.05..0.05f64).prop_map(|k| Distortion::Equidistant { k }),
+        (
+            prop::array::uniform6(-0.5..0.5f64),
+            prop::array::uniform2(-0.01..0.01f64)
+        )
+            .prop_map(|(k, p)| Distortion::Rational { k, p }),
+        (-0.5..0.5, 0.0..1.0).prop_map(|(xi, alpha)| Distortion::DoubleSphere { xi, alpha }),
+        (0.0..1.0, 0.5..2.0).prop_map(|(alpha, beta)| Distortion::ExtendedUnified { alpha, beta }),
+        (
+            0.0..2.0,
+            prop::array::uniform2(-0.2..0.2f64),
+            prop::array::uniform2(-0.01..0.01f64)
+        )
+            .prop_map(|(xi, k, p)| Distortion::Omnidirectional { xi, k, p }),
     ];
     let pinhole = (100.0..2000.0, 100.0..2000.0, 100.0..500.0, 100.0..400.0);
     (200..2000usize, 200..2000usize, pinhole, distortion).prop_map(
@@ -313,8 +326,8 @@ proptest! {
 
     #[test]
     fn mangled_calibrations_never_panic(
-        words in prop::collection::vec("(Pinhole|FOV|RadTan|P0:|nan|-?[0-9]{0,4}\\.?[0-9]{0,3}|e9|\\[|\\]|\n|,|data:|intrinsics:|resolution:)", 0..24),
-        name in "(a\\.txt|a\\.toml|a\\.yaml|calib\\.cfg)",
+        words in prop::collection::vec("(Pinhole|FOV|RadTan|P0:|nan|-?[0-9]{0,4}\\.?[0-9]{0,3}|e9|\\[|\\]|\\{|\\}|\n|\n  |,|- |data:|intrinsics:|resolution:|S_00:|K_00:|P_rect_00:|camera matrix\n|\\[image\\]\n|<data>|</data>|\\{\"value0\":|model_type: MEI\n|camera_model: ds\n|Camera\\.fx:|fx:|xi:)", 0..32),
+        name in "(a\\.txt|a\\.toml|a\\.yaml|calib\\.cfg|a\\.xml|a\\.json)",
     ) {
         // either outcome is fine; a returned camera must be valid
         if let Ok(calibration) = Calibration::parse(&words.join(" "), Path::new(&name), Some((640, 480))) {

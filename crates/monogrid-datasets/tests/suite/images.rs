@@ -1,11 +1,12 @@
 //! Decoded pixels against the numbers that were encoded.
 
 use monogrid_datasets::{
-    decode_depth, decode_gray, decode_jpeg_rgb, encode_jpeg, encode_jpeg_rgb, encode_png,
-    encode_png_16, encode_png_rgb, read_rgb,
+    FrameEntry, Levels, decode_depth, decode_gray, decode_jpeg_rgb, encode_jpeg, encode_jpeg_rgb,
+    encode_png, encode_png_16, encode_png_rgb, read_gray_in, read_rgb,
 };
 use monogrid_image::Image;
 use std::path::Path;
+use tiff::encoder::{TiffEncoder, colortype};
 
 const NAME: &str = "picture";
 
@@ -291,4 +292,103 @@ fn a_small_file_of_a_huge_image_is_refused() {
     for bytes in plain(3840, 2160) {
         assert!(decode_gray(&bytes, path()).is_ok());
     }
+}
+
+/// A TIFF and a WebP of an image in colour.
+pub fn tiff_and_webp(image: &Image<[u8; 3]>) -> [Vec<u8>; 2] {
+    let (width, height) = (image.width() as u32, image.height() as u32);
+    let samples = image.as_slice().as_flattened();
+    let mut tiff = std::io::Cursor::new(Vec::new());
+    let mut encoder = TiffEncoder::new(&mut tiff).expect("a file");
+    let written = encoder.write_image::<colortype::RGB8>(width, height, samples);
+    written.expect("encodes");
+    let mut webp = Vec::new();
+    let encoder = image_webp::WebPEncoder::new(&mut webp);
+    let written = encoder.encode(samples, width, height, image_webp::ColorType::Rgb8);
+    written.expect("encodes");
+    [tiff.into_inner(), webp]
+}
+
+/// A grey TIFF of 16 bits.
+pub fn wide_tiff(width: u32, height: u32, samples: &[u16]) -> Vec<u8> {
+    let mut file = std::io::Cursor::new(Vec::new());
+    let mut encoder = TiffEncoder::new(&mut file).expect("a file");
+    let written = encoder.write_image::<colortype::Gray16>(width, height, samples);
+    written.expect("encodes");
+    file.into_inner()
+}
+
+#[test]
+fn tiff_and_webp_are_read_whole_or_not_at_all() {
+    let tinted = colour(31, 20);
+    for bytes in tiff_and_webp(&tinted) {
+        let decoded = decode_gray(&bytes, path()).expect("decodes");
+        for (value, pixel) in decoded.as_slice().iter().zip(tinted.as_slice()) {
+            assert!((value - luma(*pixel)).abs() < 1e-3);
+        }
+        let folder = tempfile::tempdir().expect("folder");
+        let file = folder.path().join("image");
+        std::fs::write(&file, &bytes).expect("writable");
+        let again = read_rgb(&file).expect("decodes").expect("has colour");
+        assert_eq!(again, tinted);
+        for length in 0..bytes.len() {
+            if let Ok(cut) = decode_gray(&bytes[..length], path()) {
+                assert_eq!(cut, decoded, "cut to {length} of {}", bytes.len());
+            }
+        }
+    }
+    let error = decode_gray(b"BM\x36\0\0\0", path()).expect_err("a BMP");
+    assert!(
+        error.to_string().contains("a BMP, which is not read"),
+        "{error}"
+    );
+}
+
+#[test]
+fn depth_may_be_a_tiff_of_16_bits() {
+    let bytes = wide_tiff(3, 2, &[0, 1, 5000, 65534, 65535, 10]);
+    let depth = decode_depth(&bytes, 5000.0, path()).expect("decodes");
+    assert!(depth.at(0, 0).is_nan() && (depth.at(2, 0) - 1.0).abs() < 1e-6);
+}
+
+/// Files of 16 bits with these values, one behind the other.
+fn wide_frames(folder: &Path, frames: &[Image<u16>]) -> Vec<FrameEntry> {
+    let write = |(index, image): (usize, &Image<u16>)| {
+        let path = folder.join(format!("{index}.png"));
+        std::fs::write(&path, encode_png_16(image)).expect("writable");
+        FrameEntry {
+            index,
+            timestamp_ns: index as i64,
+            path,
+        }
+    };
+    frames.iter().enumerate().map(write).collect()
+}
+
+#[test]
+fn sixteen_bits_of_which_a_part_is_used_are_shown_alike_in_all_frames() {
+    let folder = tempfile::tempdir().expect("folder");
+    let ramp = |from: u16, step: u16| Image::from_fn(64, 50, |x, y| from + step * (x + y) as u16);
+    // twelve bits, then the camera looks at something darker
+    let frames = wide_frames(folder.path(), &[ramp(0, 36), ramp(0, 36), ramp(0, 3)]);
+    let levels = Levels::of_frames(&frames[..2]);
+    assert_eq!((levels.black, levels.white), (0.0, 4095.0));
+    assert!(levels.note().expect("said").contains("4095"));
+    for (frame, step) in frames.iter().zip([36.0, 36.0, 3.0]) {
+        let image = read_gray_in(&frame.path, levels).expect("decodes");
+        let expected = 255.0 * step * 70.0 / 4095.0;
+        assert!((image.at(30, 40) - expected).abs() < 1e-2, "{step}");
+    }
+    // a thermal camera: nothing near black
+    let frames = wide_frames(folder.path(), &[ramp(7000, 10)]);
+    let levels = Levels::of_frames(&frames);
+    let image = read_gray_in(&frames[0].path, levels).expect("decodes");
+    let (darkest, brightest) = (image.at(0, 0), image.at(63, 49));
+    assert!(darkest > 10.0 && darkest < 40.0 && brightest > 210.0 && brightest < 245.0);
+    // all of them, and eight bits
+    let frames = wide_frames(folder.path(), &[ramp(0, 560)]);
+    assert_eq!(Levels::of_frames(&frames), Levels::ALL);
+    std::fs::write(&frames[0].path, encode_png(&gray(8, 6))).expect("writable");
+    assert_eq!(Levels::of_frames(&frames), Levels::ALL);
+    assert_eq!(Levels::of_frames(&frames).note(), None);
 }

@@ -1,6 +1,7 @@
 //! Tests of the readers and writers; one program, so that it links once.
 
 mod calibration;
+mod calibrations_of_others;
 mod check;
 mod crafted_recordings;
 mod hostile;

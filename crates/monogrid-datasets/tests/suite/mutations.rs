@@ -1,10 +1,11 @@
 //! Valid files of every kind, damaged in the same thousands of ways at every run: readers return
 //! an error or a usable value, never a panic, and never much more memory than the file has bytes.
 
+use super::images::{colour, tiff_and_webp, wide_tiff};
 use super::recording::recording_bytes;
 use monogrid_datasets::{
-    Calibration, DepthCalibration, ReadOptions, RecordingReader, ScansReader, parse_kitti,
-    parse_seconds, parse_trajectory, read_response, read_sim3,
+    Calibration, DepthCalibration, ReadOptions, RecordingReader, ScansReader, decode_gray,
+    parse_kitti, parse_seconds, parse_trajectory, read_response, read_sim3,
 };
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -144,43 +145,82 @@ fn damaged_scans_are_errors_after_the_whole_ones() {
     tried.assert_both();
 }
 
-#[test]
-fn damaged_calibrations_are_those_of_a_real_camera_or_errors() {
-    let files = [
-        ("c.txt", "519.5 514.1 319.5 239.5 640 480\n"),
-        (
-            "c.txt",
-            "519.5 514.1 319.5 239.5 -0.01 -0.03 0.0004 -0.001 640 480\n",
-        ),
-        ("c.txt", "0.5 0.6 0.49 0.51 0.9\n640 480\ncrop\n640 480\n"),
-        (
-            "c.txt",
-            "Pinhole 0.5 0.6 0.49 0.51 0\n640 480\ncrop\n640 480\n",
-        ),
-        (
-            "c.toml",
-            "width = 640\nheight = 480\nfx = 519.5\nfy = 514.1\ncx = 319.5\ncy = 239.5\n\
+/// Calibrations of all kinds.
+const CALIBRATIONS: &[(&str, &str)] = &[
+    ("c.txt", "519.5 514.1 319.5 239.5 640 480\n"),
+    (
+        "c.txt",
+        "519.5 514.1 319.5 239.5 -0.01 -0.03 0.0004 -0.001 640 480\n",
+    ),
+    ("c.txt", "0.5 0.6 0.49 0.51 0.9\n640 480\ncrop\n640 480\n"),
+    (
+        "c.txt",
+        "Pinhole 0.5 0.6 0.49 0.51 0\n640 480\ncrop\n640 480\n",
+    ),
+    (
+        "c.toml",
+        "width = 640\nheight = 480\nfx = 519.5\nfy = 514.1\ncx = 319.5\ncy = 239.5\n\
                     model = \"equidistant\"\ndistortion = [0.1, 0.01, 0.0, 0.0]\n",
-        ),
-        (
-            "c.yaml",
-            "sensor_type: camera\nresolution: [752, 480]\ncamera_model: pinhole\n\
+    ),
+    (
+        "c.yaml",
+        "sensor_type: camera\nresolution: [752, 480]\ncamera_model: pinhole\n\
                     intrinsics: [458.654, 457.296, 367.215, 248.375]\n\
                     distortion_model: radial-tangential\n\
                     distortion_coefficients: [-0.28, 0.07, 0.0002, 0.00002]\n",
-        ),
-        (
-            "c.yaml",
-            "image_width: 640\nimage_height: 480\ndistortion_model: plumb_bob\n\
+    ),
+    (
+        "c.yaml",
+        "image_width: 640\nimage_height: 480\ndistortion_model: plumb_bob\n\
                     camera_matrix:\n  rows: 3\n  cols: 3\n  data: [500, 0, 320, 0, 500, 240, 0, 0, 1]\n\
                     distortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [0.1, 0, 0, 0, 0]\n",
-        ),
-        (
-            "calib.txt",
-            "P0: 700 0 600 0 0 700 180 0 0 0 1 0\nP1: 700 0 600 -300 0 700 180 0 0 0 1 0\n",
-        ),
-    ];
-    for (name, text) in files {
+    ),
+    (
+        "c.xml",
+        "<?xml version=\"1.0\"?>\n<opencv_storage>\n<image_width>640</image_width>\n<image_height>480</image_height>\n\
+                    <fisheye_model>1</fisheye_model>\n<camera_matrix type_id=\"opencv-matrix\">\n<rows>3</rows><cols>3</cols>\n\
+                    <data>500. 0. 320. 0. 500. 240. 0. 0. 1.</data></camera_matrix>\n<distortion_coefficients>\n\
+                    <data>0.1 0. 0. 0.</data></distortion_coefficients>\n</opencv_storage>\n",
+    ),
+    (
+        "ost.txt",
+        "# oST\n[image]\nwidth\n640\nheight\n480\n[camera]\ncamera matrix\n500 0 320\n0 500 240\n0 0 1\n\
+                    distortion\n0.1 0.2 0.001 0.002 0.3 0.4 0.5 0.6\n",
+    ),
+    (
+        "c.yaml",
+        "model_type: MEI\nimage_width: 640\nimage_height: 480\nmirror_parameters:\n   xi: 1.8\n\
+                    distortion_parameters:\n   k1: -0.1\n   k2: 0.4\n   p1: 0.0003\n   p2: 0.0004\n\
+                    projection_parameters:\n   gamma1: 900\n   gamma2: 901\n   u0: 320\n   v0: 240\n",
+    ),
+    (
+        "c.yaml",
+        "cam0: {camera_model: ds, intrinsics: [-0.2, 0.6, 300, 300, 320, 240],\n  resolution: [640, 480]}\n\
+                    cam1:\n  intrinsics:\n  - 1\n  - 2\n",
+    ),
+    (
+        "c.json",
+        "{\"value0\": {\"intrinsics\": [{\"camera_type\": \"eucm\", \"intrinsics\": {\"fx\": 300, \"fy\": 300, \
+                    \"cx\": 320, \"cy\": 240, \"alpha\": 0.6, \"beta\": 1.1}}], \"resolution\": [[640, 480]]}}",
+    ),
+    (
+        "cameras.txt",
+        "1 PINHOLE 1280 720 900 900 640 360\n2 RADIAL_FISHEYE 640 480 300 320 240 0.01 0.002\n",
+    ),
+    (
+        "calib_cam_to_cam.txt",
+        "calib_time: 09-Jan-2012 13:57:47\nS_00: 640 480\nK_00: 500 0 320 0 500 240 0 0 1\n\
+                    D_00: 0.1 0.2 0.001 0.002 0.3\nS_rect_00: 620 460\nP_rect_00: 500 0 310 0 0 500 230 0 0 0 1 0\n",
+    ),
+    (
+        "calib.txt",
+        "P0: 700 0 600 0 0 700 180 0 0 0 1 0\nP1: 700 0 600 -300 0 700 180 0 0 0 1 0\n",
+    ),
+];
+
+#[test]
+fn damaged_calibrations_are_those_of_a_real_camera_or_errors() {
+    for (name, text) in CALIBRATIONS {
         let mut tried = Tried::default();
         for bytes in mutations(text.as_bytes(), 600) {
             let text = String::from_utf8_lossy(&bytes);
@@ -192,6 +232,22 @@ fn damaged_calibrations_are_those_of_a_real_camera_or_errors() {
                     "{text}"
                 );
                 assert!(camera.width > 0 && camera.height > 0);
+            }
+        }
+        tried.assert_both();
+    }
+}
+
+#[test]
+fn damaged_images_of_other_formats_are_images_or_errors() {
+    let wide: Vec<u16> = (0..24 * 17).map(|k| 160 * k).collect();
+    let [tiff, webp] = tiff_and_webp(&colour(24, 17));
+    for file in [wide_tiff(24, 17, &wide), tiff, webp] {
+        let mut tried = Tried::default();
+        for bytes in mutations(&file, 1500) {
+            if let Some(image) = tried.count(decode_gray(&bytes, path())) {
+                let is_grey = |value: &f32| (0.0..=255.0).contains(value);
+                assert!(image.as_slice().iter().all(is_grey));
             }
         }
         tried.assert_both();

@@ -4,6 +4,7 @@ use super::images::gray;
 use monogrid_datasets::{
     DEFAULT_FPS, Dataset, DatasetError, Layout, SourceOptions, encode_png, read_gray,
 };
+use monogrid_geometry::{Camera, Distortion, Pinhole};
 use std::fs;
 use std::io::Read as _;
 use std::path::Path;
@@ -280,6 +281,224 @@ fn bad_sources_are_explained() {
             ..
         }
     ));
+}
+
+#[test]
+fn times_in_any_unit_are_recognised_and_said() {
+    let root = folder();
+    for name in ["a.png", "b.png", "c.png"] {
+        image(&root.path().join("rgb").join(name));
+    }
+    let expected = [
+        1_305_031_452_790_000_000,
+        1_305_031_452_823_333_000,
+        1_305_031_452_856_666_000,
+    ];
+    let list = |times: [&str; 3]| {
+        let lines = times.iter().zip(["a", "b", "c"]);
+        let text: String = lines
+            .map(|(time, name)| format!("{time} rgb/{name}.png\n"))
+            .collect();
+        fs::write(root.path().join("rgb.txt"), text).expect("writable");
+        open(root.path()).expect("opens")
+    };
+    for (times, unit) in [
+        (
+            [
+                "1305031452.790000",
+                "1305031452.823333",
+                "1305031452.856666",
+            ],
+            None,
+        ),
+        (
+            ["1305031452790", "1305031452823.333", "1305031452856.666"],
+            Some("milliseconds"),
+        ),
+        (
+            ["1305031452790000", "1305031452823333", "1305031452856666"],
+            Some("microseconds"),
+        ),
+        (
+            [
+                "1305031452790000000",
+                "1305031452823333000",
+                "1305031452856666000",
+            ],
+            Some("nanoseconds"),
+        ),
+    ] {
+        let dataset = list(times);
+        assert_eq!(super::sources::times(&dataset), expected, "{unit:?}");
+        let said: Vec<&String> = dataset
+            .warnings
+            .iter()
+            .filter(|w| w.contains("taken for"))
+            .collect();
+        match unit {
+            None => assert!(said.is_empty(), "{said:?}"),
+            Some(unit) => assert!(said[0].contains(unit), "{said:?}"),
+        }
+    }
+}
+
+#[test]
+fn clocks_that_start_at_0_count_in_any_unit() {
+    let root = folder();
+    for name in ["a.png", "b.png", "c.png"] {
+        image(&root.path().join("rgb").join(name));
+    }
+    let list = "0 rgb/a.png\n33 rgb/b.png\n67 rgb/c.png\n";
+    fs::write(root.path().join("rgb.txt"), list).expect("writable");
+    let dataset = open(root.path()).expect("opens");
+    assert_eq!(times(&dataset), [0, 33_000_000, 67_000_000]);
+    fs::remove_file(root.path().join("rgb.txt")).expect("there");
+    fs::write(root.path().join("times.txt"), "0\n33333\n66666\n").expect("writable");
+    let dataset = open(root.path()).expect("opens");
+    assert_eq!(times(&dataset), [0, 33_333_000, 66_666_000]);
+    assert!(dataset.warnings.iter().any(|w| w.contains("microseconds")));
+}
+
+#[test]
+fn a_clock_that_was_set_is_refused_and_disorder_is_not() {
+    let root = folder();
+    image(&root.path().join("a.png"));
+    let list = |times: &[u32]| {
+        let lines = times
+            .iter()
+            .map(|time| format!("{}.{:03} a.png\n", time / 1000, time % 1000));
+        fs::write(root.path().join("rgb.txt"), lines.collect::<String>()).expect("writable");
+        open(root.path())
+    };
+    // 60 frames, then the clock is 1.5 s earlier, between the times before
+    let mut reset: Vec<u32> = (0..60).map(|k| 33 * k).collect();
+    reset.extend((0..40).map(|k| 400 + 33 * k + 10));
+    let error = list(&reset).expect_err("two recordings").to_string();
+    assert!(
+        error.contains("jumps back by 1.537 s at frame 60"),
+        "{error}"
+    );
+    // two frames that changed places
+    let mut swapped: Vec<u32> = (0..100).map(|k| 33 * k).collect();
+    swapped.swap(50, 51);
+    let dataset = list(&swapped).expect("sorted");
+    assert!(times(&dataset).is_sorted());
+    assert!(
+        dataset
+            .warnings
+            .iter()
+            .any(|w| w.contains("backwards 1 times"))
+    );
+    // any order at all
+    let shuffled: Vec<u32> = (0..101).map(|k| 33 * ((37 * k) % 101)).collect();
+    assert!(times(&list(&shuffled).expect("sorted")).is_sorted());
+}
+
+#[test]
+fn seven_scenes_tell_colour_from_depth_by_name() {
+    for (ending, mark) in [("png", "."), ("png", "_"), ("png", "-")] {
+        let root = folder();
+        let place = |k: usize, kind: &str| root.path().join(format!("frame-{k:06}{mark}{kind}"));
+        for k in 0..3 {
+            image(&place(k, &format!("color.{ending}")));
+            image(&place(k, &format!("depth.{ending}")));
+            let matrix = format!("1 0 0 {k}\n0 1 0 0.5\n0 0 1 0\n0 0 0 1\n");
+            fs::write(place(k, "pose.txt"), matrix).expect("writable");
+        }
+        // tracking failed in one
+        fs::write(place(1, "pose.txt"), "0 0 0 0\n".repeat(4)).expect("writable");
+        let dataset = open(root.path()).expect("opens");
+        assert_eq!(dataset.layout, Layout::SevenScenes);
+        assert_eq!(dataset.frames.len(), 3);
+        assert!(names(&dataset).iter().all(|name| name.contains("color")));
+        let depths: Vec<i64> = dataset.depths.iter().map(|d| d.timestamp_ns).collect();
+        assert_eq!(depths, times(&dataset));
+        assert!(dataset.depths[1].path.to_string_lossy().contains("000001"));
+        let camera = Camera::try_new(8, 6, Pinhole::centred(8.0, 8, 6), Distortion::None).unwrap();
+        assert_eq!(dataset.registered_depth(camera).units_per_metre, 1000.0);
+        let poses = dataset
+            .reference_trajectory()
+            .expect("readable")
+            .expect("there");
+        assert_eq!(poses.len(), 2);
+        assert_eq!(poses[1].timestamp_ns, dataset.frames[2].timestamp_ns);
+        assert_eq!(poses[1].world_from_camera.translation.x, 2.0);
+    }
+    // without images in colour, depth images are images
+    let root = folder();
+    image(&root.path().join("0.depth.png"));
+    assert_eq!(open(root.path()).expect("opens").frames.len(), 1);
+}
+
+#[test]
+fn kitti_raw_has_a_date_for_each_image() {
+    let root = folder();
+    let drive = root.path().join("2011_09_26/drive_0001");
+    for camera in ["image_00", "image_02"] {
+        // the second image is missing
+        for k in [0, 2] {
+            image(&drive.join(format!("{camera}/data/{k:010}.png")));
+        }
+        let dates = "2011-09-26 13:02:25.900000000\n2011-09-26 13:02:26.000000000\n2011-09-26 13:02:26.100000000\n";
+        fs::write(drive.join(camera).join("timestamps.txt"), dates).expect("writable");
+    }
+    let numbers =
+        |id: &str, f: f64| format!("S_rect_{id}: 8 6\nP_rect_{id}: {f} 0 4 0 0 {f} 3 0 0 0 1 0\n");
+    let text = format!(
+        "calib_time: x\n{}{}",
+        numbers("00", 9.0),
+        numbers("02", 10.0)
+    );
+    let calibration = root.path().join("2011_09_26/calib_cam_to_cam.txt");
+    fs::write(calibration, text).expect("writable");
+    for (source, focal) in [
+        (drive.clone(), 9.0),
+        (drive.join("image_00"), 9.0),
+        (drive.join("image_02"), 10.0),
+    ] {
+        let dataset = open(&source).expect("opens");
+        assert_eq!(dataset.layout, Layout::KittiRaw);
+        let start = 1_317_042_145_900_000_000;
+        assert_eq!(times(&dataset), [start, start + 200_000_000]);
+        let read = dataset
+            .calibration(Some((8, 6)))
+            .expect("readable")
+            .expect("there");
+        assert_eq!(read.camera.pinhole.fx, focal);
+    }
+}
+
+#[test]
+fn euroc_without_its_list_has_times_in_names() {
+    let root = folder();
+    let camera = root.path().join("mav0/cam0");
+    for name in ["1403636579763555584.png", "1403636579813555584.png"] {
+        image(&camera.join("data").join(name));
+    }
+    let expected = [1_403_636_579_763_555_584, 1_403_636_579_813_555_584];
+    let mav0 = root.path().join("mav0");
+    for source in [root.path(), &mav0, &camera, &camera.join("data")] {
+        let dataset = open(source).expect("opens");
+        assert_eq!(times(&dataset), expected, "{source:?}");
+        assert!(dataset.warnings.iter().any(|w| w.contains("nanoseconds")));
+    }
+    // a rate that somebody gave stands above names
+    let options = SourceOptions { fps: Some(10.0) };
+    for source in [root.path(), &camera] {
+        let dataset = Dataset::open(source, options).expect("opens");
+        assert_eq!(times(&dataset), [0, 100_000_000]);
+        assert!(dataset.warnings.is_empty(), "{:?}", dataset.warnings);
+    }
+    // with its list, the folder of the camera is one of EuRoC too
+    let list = "#timestamp,name\n1403636579763555584,1403636579763555584.png\n";
+    fs::write(camera.join("data.csv"), list).expect("writable");
+    assert_eq!(open(&camera).expect("opens").layout, Layout::Euroc);
+    // names that are numbers of images
+    let root = folder();
+    image(&root.path().join("0000000001.png"));
+    image(&root.path().join("0000000002.png"));
+    assert_eq!(open(root.path()).expect("opens").layout, Layout::Folder);
+    assert_eq!(times(&open(root.path()).expect("opens"))[0], 0);
 }
 
 #[test]

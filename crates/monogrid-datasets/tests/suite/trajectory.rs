@@ -29,6 +29,49 @@ fn tum_and_euroc_lines_mean_the_same() {
 }
 
 #[test]
+fn times_may_be_in_any_unit() {
+    let pose = "0.5 0.3 0.7 0.7504 0.5344 -0.2649 -0.2849";
+    let read = |times: [&str; 2]| {
+        let text = times.map(|time| format!("{time} {pose}\n")).concat();
+        let poses = parse_trajectory(&text, path()).expect(&text);
+        poses.iter().map(|p| p.timestamp_ns).collect::<Vec<_>>()
+    };
+    let expected = [1_305_031_452_299_500_032, 1_305_031_452_339_500_032];
+    for times in [
+        // as ORB-SLAM3 writes them for EuRoC, and numpy
+        ["1305031452299500032.000000", "1305031452339500032.000000"],
+        ["1305031452299500032", "1305031452339500032"],
+        ["1.305031452299500032e+18", "1.305031452339500032e+18"],
+        ["1305031452299500.032", "1305031452339500.032"],
+        ["1305031452299.500032", "1305031452339.500032"],
+        ["1305031452.299500032", "1305031452.339500032"],
+    ] {
+        assert_eq!(read(times), expected, "{times:?}");
+    }
+    assert_eq!(read(["0", "40"]), [0, 40_000_000]);
+    assert_eq!(read(["0", "0.04"]), [0, 40_000_000]);
+}
+
+#[test]
+fn matrices_covariances_and_names_of_columns() {
+    let kitti = "1 0 0 1 0 1 0 2 0 0 1 3\n1 0 0 4 0 1 0 5 0 0 1 6\n";
+    let poses = parse_trajectory(kitti, path()).expect("KITTI");
+    assert_eq!(poses[1].timestamp_ns, 1_000_000_000);
+    assert_eq!(
+        poses[1].world_from_camera.translation,
+        Vec3::new(4.0, 5.0, 6.0)
+    );
+    let covariances = format!("1.5 1 2 3 0 0 0 1{}\n", " 0.1".repeat(12));
+    let poses = parse_trajectory(&covariances, path()).expect("OpenVINS");
+    assert_eq!(
+        poses[0].world_from_camera.translation,
+        Vec3::new(1.0, 2.0, 3.0)
+    );
+    let named = "timestamp tx ty tz qx qy qz qw\n1.5 1 2 3 0 0 0 1\n";
+    assert_eq!(parse_trajectory(named, path()).expect("named"), poses);
+}
+
+#[test]
 fn poses_are_sorted_and_duplicates_dropped() {
     let text = "2 0 0 0 0 0 0 1\n1 5 0 0 0 0 0 1\n2 9 9 9 0 0 0 1\n";
     let poses = parse_trajectory(text, path()).expect("readable");

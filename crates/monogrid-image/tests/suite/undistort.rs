@@ -25,9 +25,19 @@ const FISHEYE: Distortion = Distortion::Equidistant {
     k: [0.0034, 0.0007, -0.0021, 0.0002],
 };
 
+const RATIONAL: Distortion = Distortion::Rational {
+    k: [0.6, -0.3, 0.1, 0.9, -0.2, 0.1],
+    p: [0.0008, -0.0002],
+};
+
+const DOUBLE_SPHERE: Distortion = Distortion::DoubleSphere {
+    xi: -0.2,
+    alpha: 0.6,
+};
+
 fn camera(distortion: Distortion) -> Camera {
     let (fx, fy) = match distortion {
-        Distortion::Equidistant { .. } => (190.9, 190.8),
+        Distortion::Equidistant { .. } | Distortion::DoubleSphere { .. } => (190.9, 190.8),
         _ => (458.654, 457.296),
     };
     let pinhole = Pinhole::new(fx, fy, 367.215, 248.375);
@@ -35,9 +45,17 @@ fn camera(distortion: Distortion) -> Camera {
 }
 
 fn cameras() -> Vec<Camera> {
-    [Distortion::None, RADTAN, PINCUSHION, FOV, FISHEYE]
-        .map(camera)
-        .to_vec()
+    [
+        Distortion::None,
+        RADTAN,
+        PINCUSHION,
+        FOV,
+        FISHEYE,
+        RATIONAL,
+        DOUBLE_SPHERE,
+    ]
+    .map(camera)
+    .to_vec()
 }
 
 /// Pixel of the input in which a ray `(x, y, 1)` is seen.
@@ -67,6 +85,24 @@ fn literal_pixel(camera: &Camera, x: f64, y: f64) -> (f64, f64) {
             let rd = t + k[0] * t.powi(3) + k[1] * t.powi(5) + k[2] * t.powi(7) + k[3] * t.powi(9);
             (x * rd / r, y * rd / r)
         }
+        // OpenCV again
+        Distortion::Rational { k, p: [p1, p2] } => {
+            let [k1, k2, k3, k4, k5, k6] = k;
+            let radial = (1.0 + k1 * r.powi(2) + k2 * r.powi(4) + k3 * r.powi(6))
+                / (1.0 + k4 * r.powi(2) + k5 * r.powi(4) + k6 * r.powi(6));
+            (
+                x * radial + 2.0 * p1 * x * y + p2 * (r * r + 2.0 * x * x),
+                y * radial + p1 * (r * r + 2.0 * y * y) + 2.0 * p2 * x * y,
+            )
+        }
+        // Usenko, Demmel and Cremers, equations 40 to 42
+        Distortion::DoubleSphere { xi, alpha } => {
+            let d1 = (r * r + 1.0).sqrt();
+            let d2 = (r * r + (xi * d1 + 1.0).powi(2)).sqrt();
+            let below = alpha * d2 + (1.0 - alpha) * (xi * d1 + 1.0);
+            (x / below, y / below)
+        }
+        other => unreachable!("{other:?} is not tried"),
     };
     let Pinhole { fx, fy, cx, cy } = camera.pinhole;
     (fx * xd + cx, fy * yd + cy)

@@ -6,9 +6,10 @@ use monogrid_datasets::{DatasetError, read_gray};
 use std::path::Path;
 use tobj::{LoadError, LoadOptions, load_mtl_buf, load_obj_buf};
 
-const EXPECTED: &str = "an .obj file with faces of finite vertices, and its materials";
+const EXPECTED: &str =
+    "an .obj file with faces of finite vertices, and materials, if any, that can be read";
 
-/// Reads the mesh and the materials that it names.
+/// Reads the mesh and the materials that it names; where the file of these is missing, it has none.
 pub(super) fn read(path: &Path) -> Result<MeshModel, DatasetError> {
     let folder = path.parent().unwrap_or(Path::new("."));
     let bad = |found: String| DatasetError::content(path, found, EXPECTED);
@@ -32,7 +33,11 @@ pub(super) fn read(path: &Path) -> Result<MeshModel, DatasetError> {
     }
     let (parts, materials) = load_obj_buf(&mut text.as_bytes(), &options, library)
         .map_err(|error| bad(error.to_string()))?;
-    let materials = materials.map_err(|error| bad(format!("a library of materials: {error}")))?;
+    let materials = match materials {
+        // meshes are passed on without it, and the shape is all there
+        Err(LoadError::OpenFileFailed) => Vec::new(),
+        read => read.map_err(|error| bad(format!("a library of materials: {error}")))?,
+    };
     let mut model = MeshModel::default();
     for part in &parts {
         add_part(&part.mesh, &mut model).map_err(|reason| bad(reason.to_owned()))?;

@@ -44,7 +44,7 @@ impl PosedDepthFolder {
             Some(path) => DepthCalibration::read(path).map(Some),
             None => dataset.depth_calibration(),
         };
-        let registered = || colour.map(DepthCalibration::registered);
+        let registered = || colour.map(|colour| dataset.registered_depth(colour));
         let Some(calibration) = own.bad_input()?.or_else(registered) else {
             return Err(Failure::input(format!(
                 "no calibration in {}: expected calibration_depth.txt or calibration.txt, or \

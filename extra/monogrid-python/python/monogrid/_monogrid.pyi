@@ -148,7 +148,9 @@ class Camera:
         model: str = "radial-tangential",
         rolling_shutter_ms: float = 0.0,
     ) -> None:
-        """`model`: "radial-tangential" (k1, k2, p1, p2, k3 as OpenCV), "equidistant" (four numbers) or "fov" (one)."""
+        """`model`: "radial-tangential" (k1, k2, p1, p2, k3 as OpenCV), "rational" (eight numbers in the order of OpenCV),
+        "equidistant" (four), "fov" (one), "double-sphere" (xi, alpha), "extended-unified" (alpha, beta) or
+        "omnidirectional" (xi, k1, k2, p1, p2)."""
     @staticmethod
     def read(path: str | os.PathLike[str], size: tuple[int, int] | None = None) -> Camera:
         """Reads any calibration file that the program understands; `size` where the file does not say it."""

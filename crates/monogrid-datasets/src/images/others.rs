@@ -1,0 +1,74 @@
+//! TIFF and WebP.
+
+use super::decode::{MAX_DECODE_BYTES, MAX_SIDE};
+use super::raster::{Raster, Samples, check_size};
+use image_webp::WebPDecoder;
+use std::io::Cursor;
+use tiff::decoder::{Decoder, DecodingResult, Limits};
+use tiff::{ColorType, TiffError};
+
+/// Decodes the first image of a TIFF: grey or colour of 8 or 16 bits.
+pub(super) fn decode_tiff(bytes: &[u8]) -> Result<Raster, String> {
+    let said = |error: TiffError| error.to_string();
+    let mut limits = Limits::default();
+    limits.decoding_buffer_size = MAX_DECODE_BYTES;
+    let decoder = Decoder::new(Cursor::new(bytes)).map_err(said)?;
+    let mut decoder = decoder.with_limits(limits);
+    let (width, height) = decoder.dimensions().map_err(said)?;
+    let (width, height) = (width as usize, height as usize);
+    check_size(width, height, [MAX_SIDE; 2], bytes.len())?;
+    let colour = decoder.colortype().map_err(said)?;
+    let channels = match colour {
+        ColorType::Gray(_) => 1,
+        ColorType::GrayA(_) => 2,
+        ColorType::RGB(_) => 3,
+        ColorType::RGBA(_) => 4,
+        _ => {
+            return Err(format!(
+                "its pixels are {colour:?}, not grey, nor red, green and blue"
+            ));
+        }
+    };
+    let (samples, white, length) = match decoder.read_image().map_err(said)? {
+        DecodingResult::U8(samples) => {
+            let length = samples.len();
+            (Samples::Bytes(samples), 255, length)
+        }
+        DecodingResult::U16(samples) => {
+            let length = samples.len();
+            (Samples::Words(samples), u16::MAX, length)
+        }
+        _ => return Err("its samples are not whole numbers of 8 or 16 bits".to_owned()),
+    };
+    // less where each colour has an image of its own, or where samples of fewer bits are packed
+    if length != width * height * channels {
+        return Err("its samples are packed in a way that is not understood".to_owned());
+    }
+    Ok(Raster {
+        width,
+        height,
+        channels,
+        white,
+        samples,
+    })
+}
+
+/// Decodes a WebP; the first image of an animation.
+pub(super) fn decode_webp(bytes: &[u8]) -> Result<Raster, String> {
+    let said = |error: image_webp::DecodingError| error.to_string();
+    let mut decoder = WebPDecoder::new(Cursor::new(bytes)).map_err(said)?;
+    decoder.set_memory_limit(MAX_DECODE_BYTES);
+    let (width, height) = decoder.dimensions();
+    let (width, height) = (width as usize, height as usize);
+    check_size(width, height, [MAX_SIDE; 2], bytes.len())?;
+    let size = decoder.output_buffer_size();
+    let mut samples = vec![0; size.ok_or("it needs too much memory")?];
+    decoder.read_image(&mut samples).map_err(said)?;
+    Ok(Raster {
+        width,
+        height,
+        channels: if decoder.has_alpha() { 4 } else { 3 },
+        white: 255,
+        samples: Samples::Bytes(samples),
+    })
+}
