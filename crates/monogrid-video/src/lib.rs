@@ -534,17 +534,15 @@ impl Clock {
             if step_ns > 0 {
                 self.step_ns = step_ns;
             } else {
+                let back_ns = step_ns.saturating_neg();
                 self.repaired += 1;
-                self.faulty += usize::from(step_ns == 0 || -step_ns > ROUNDING_NS);
-                let after_ns = if -step_ns > CLOCK_JUMP_NS {
-                    self.jumps += 1;
-                    self.largest_jump_ns = self.largest_jump_ns.max(-step_ns);
-                    self.step_ns.max(1)
-                } else {
-                    1
-                };
+                self.faulty += usize::from(back_ns == 0 || back_ns > ROUNDING_NS);
+                let is_jump = back_ns > CLOCK_JUMP_NS;
+                let after_ns = if is_jump { self.step_ns.max(1) } else { 1 };
                 let right_ns = last_ns.saturating_add(after_ns);
-                if after_ns > 1 {
+                if is_jump {
+                    self.jumps += 1;
+                    self.largest_jump_ns = self.largest_jump_ns.max(back_ns);
                     let shift_ns = right_ns.saturating_sub(used_ns);
                     self.shift_ns = self.shift_ns.saturating_add(shift_ns);
                 }
