@@ -4,7 +4,8 @@ use crate::bag::Messages;
 use crate::error::BagError;
 use crate::message::Raw;
 use std::collections::VecDeque;
-use std::io::Read;
+use std::fs::File;
+use std::io::{BufReader, Read};
 use std::path::Path;
 
 /// Most bytes of a record: an image of 8K in colour is a tenth of it.
@@ -98,6 +99,42 @@ fn unpacked(compression: &str, data: &[u8], size: u64) -> Result<Vec<u8>, String
         ));
     }
     Ok(bytes)
+}
+
+/// A message that was compressed by itself.
+pub fn unpacked_message(data: &[u8]) -> Result<Vec<u8>, String> {
+    let most = CHUNK_BYTES + CHUNK_GROWTH * data.len() as u64;
+    let decoder = ruzstd::decoding::StreamingDecoder::new(data)
+        .map_err(|error| format!("a message is not zstd: {error}"))?;
+    let mut bytes = Vec::new();
+    let read = decoder.take(most + 1).read_to_end(&mut bytes);
+    read.map_err(|error| format!("a message cannot be decompressed (zstd): {error}"))?;
+    if bytes.len() as u64 > most {
+        return Err(format!(
+            "a message of {} bytes holds more than {most}",
+            data.len()
+        ));
+    }
+    Ok(bytes)
+}
+
+/// What is in a file that was compressed as a whole, as a file without a name in the folder for
+/// temporary files.
+pub fn unpacked_file(file: &File) -> Result<File, String> {
+    let packed = file.metadata().map_err(|error| error.to_string())?.len();
+    let most = FILE_BYTES + FILE_GROWTH * packed;
+    let decoder = ruzstd::decoding::StreamingDecoder::new(BufReader::new(file))
+        .map_err(|error| format!("it is not zstd: {error}"))?;
+    let mut out = tempfile::tempfile()
+        .map_err(|error| format!("no room to decompress it (TMPDIR): {error}"))?;
+    let written = std::io::copy(&mut decoder.take(most + 1), &mut out)
+        .map_err(|error| format!("it cannot be decompressed (zstd) into TMPDIR: {error}"))?;
+    if written > most {
+        return Err(format!(
+            "a file of {packed} bytes holds more than {most}; decompress it with zstd -d, if you trust it"
+        ));
+    }
+    Ok(out)
 }
 
 /// Messages one by one, until the end of the file or the first damage. `read_on` reads some of the file and adds the messages that are in it;

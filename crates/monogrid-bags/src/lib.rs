@@ -23,11 +23,17 @@ pub mod convert;
 mod db3;
 mod error;
 mod fields;
+mod foxglove;
+mod inertial;
 mod mcap;
 mod message;
+mod part;
 mod ros1;
 mod sqlite;
+mod topic;
 
-pub use bag::{Bag, Images, Topic, TopicKind, is_bag};
+pub use bag::{Bag, Coded, Images, Packets, is_bag};
 pub use error::BagError;
+pub use inertial::Readings;
 pub use mcap::McapWriter;
+pub use topic::{Topic, TopicKind};

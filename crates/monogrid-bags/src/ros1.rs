@@ -1,26 +1,85 @@
 //! ROS 1 bags, version 2.0: records of header fields (`name=value`) and data; messages lie in chunks.
 
-use crate::bag::{Messages, TopicKind};
+use crate::bag::Messages;
 use crate::chunks::{self, Unpacker, in_chunks};
 use crate::error::BagError;
 use crate::fields::Fields;
 use crate::message::{Raw, Wire};
-use std::collections::{HashMap, VecDeque};
-use std::fs::File;
-use std::io::{self, BufReader, Read};
-use std::path::Path;
+use crate::part::{Input, Part};
+use crate::topic::{Indexed, Topic};
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::sync::Arc;
 
 /// What a file begins with.
 pub const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 
 const MESSAGE: u8 = 2;
+const BAG: u8 = 3;
 const CHUNK: u8 = 5;
+const CHUNK_INFO: u8 = 6;
 const CONNECTION: u8 = 7;
 
+/// The topics of a file by its index at the end; `None` where it has none that can be used.
+pub fn topics(part: &Part) -> Result<Option<Vec<Indexed>>, BagError> {
+    let mut input = part.open()?;
+    Ok(index(&mut input).unwrap_or_default())
+}
+
+/// Connections, and how many messages the chunks have of each.
+fn index(input: &mut Input) -> Result<Option<Vec<Indexed>>, String> {
+    let sought = |error: io::Error| error.to_string();
+    let start = MAGIC.len() as u64;
+    input.seek(SeekFrom::Start(start)).map_err(sought)?;
+    let header = block(input)?.unwrap_or_default();
+    let fields = Header(&header);
+    let position = fields
+        .value("index_pos")
+        .and_then(|b| <[u8; 8]>::try_from(b).ok());
+    let position = position.map_or(0, u64::from_le_bytes);
+    if fields.op() != Some(BAG) || position == 0 {
+        return Ok(None);
+    }
+    input.seek(SeekFrom::Start(position)).map_err(sought)?;
+    let mut input = BufReader::new(input);
+    let (mut topics, mut counts) = (BTreeMap::new(), BTreeMap::<u32, u64>::new());
+    while let Some(header) = block(&mut input)? {
+        let data = block(&mut input)?.ok_or("the index ends within a record")?;
+        match Header(&header).op() {
+            Some(CONNECTION) => {
+                let (number, topic) = connection(Header(&header), &data)?;
+                topics.insert(number, topic);
+            }
+            Some(CHUNK_INFO) => {
+                let mut rest = Fields(&data);
+                while let (Some(number), Some(count)) = (rest.u32(), rest.u32()) {
+                    *counts.entry(number).or_default() += u64::from(count);
+                }
+            }
+            _ => return Ok(None),
+        }
+    }
+    let has_counts = !counts.is_empty();
+    let indexed = topics.into_iter().map(|(number, topic)| Indexed {
+        topic,
+        messages: has_counts.then(|| counts.get(&number).copied().unwrap_or(0)),
+    });
+    let indexed: Vec<Indexed> = indexed.collect();
+    Ok((!indexed.is_empty()).then_some(indexed))
+}
+
+/// Number and topic of a connection.
+fn connection(fields: Header, data: &[u8]) -> Result<(u32, Topic), String> {
+    let number = fields.u32("conn").ok_or("a connection without a number")?;
+    let name = fields.text("topic").ok_or("a connection without a topic")?;
+    let type_name = Header(data).text("type").unwrap_or_default();
+    Ok((number, Topic::new(&name, &type_name)))
+}
+
 /// The messages of a file.
-pub fn messages(path: &Path) -> Result<Messages, BagError> {
-    let mut file = BufReader::with_capacity(1 << 18, File::open(path).map_err(BagError::io(path))?);
+pub fn messages(part: &Part) -> Result<Messages, BagError> {
+    let path = &part.path;
+    let mut file = BufReader::with_capacity(1 << 18, part.open()?);
     file.read_exact(&mut [0; MAGIC.len()])
         .map_err(BagError::io(path))?;
     let mut records = Ros1Messages {
@@ -32,9 +91,9 @@ pub fn messages(path: &Path) -> Result<Messages, BagError> {
 }
 
 struct Ros1Messages {
-    file: BufReader<File>,
-    /// Topic and kind; only ever asked by number.
-    connections: HashMap<u32, (Arc<str>, TopicKind)>,
+    file: BufReader<Input>,
+    /// Topics; only ever asked by number.
+    connections: HashMap<u32, Arc<Topic>>,
     unpacker: Unpacker,
 }
 
@@ -74,16 +133,13 @@ impl Ros1Messages {
     ) -> Result<(), String> {
         match fields.op() {
             Some(CONNECTION) => {
-                let number = fields.u32("conn").ok_or("a connection without a number")?;
-                let topic = fields.text("topic").ok_or("a connection without a topic")?;
-                let type_name = Header(data).text("type").unwrap_or_default();
-                let kind = TopicKind::of(&type_name);
-                self.connections.insert(number, (topic.into(), kind));
+                let (number, topic) = connection(fields, data)?;
+                self.connections.insert(number, Arc::new(topic));
             }
             Some(MESSAGE) => {
                 let number = fields.u32("conn").ok_or("a message without a connection")?;
                 let connection = self.connections.get(&number);
-                let (topic, kind) = connection.ok_or_else(|| {
+                let topic = connection.ok_or_else(|| {
                     format!("a message of connection {number}, which was not declared")
                 })?;
                 let time = fields
@@ -93,7 +149,7 @@ impl Ros1Messages {
                 let seconds = u32::from_le_bytes([a, b, c, d]);
                 let log_ns =
                     i64::from(seconds) * 1_000_000_000 + i64::from(u32::from_le_bytes(nanoseconds));
-                messages.push_back(Raw::new(topic, *kind, log_ns, Wire::Ros1, data));
+                messages.push_back(Raw::new(topic, log_ns, Some(Wire::Ros1), data));
             }
             _ => {}
         }

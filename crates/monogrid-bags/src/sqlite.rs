@@ -3,7 +3,7 @@
 //! A table is a tree of pages. Its leaves hold rows: a list of types, then the values; what does not fit goes on in a chain of
 //! overflow pages. Nothing is looked up and nothing written, which is why a hundred lines take the place of a library in C.
 
-use std::fs::File;
+use crate::part::Input;
 use std::io::{Read, Seek, SeekFrom};
 
 /// What a file begins with.
@@ -33,7 +33,7 @@ pub type Row = (i64, Vec<Value>);
 /// An open file.
 #[derive(Debug)]
 pub struct Database {
-    file: File,
+    file: Input,
     page_bytes: usize,
     /// Bytes of a page that hold data.
     usable: usize,
@@ -41,7 +41,7 @@ pub struct Database {
 }
 
 impl Database {
-    pub fn open(mut file: File) -> Result<Self, String> {
+    pub fn open(mut file: Input) -> Result<Self, String> {
         let mut header = [0; HEADER_BYTES];
         file.read_exact(&mut header)
             .map_err(|_| "the file is shorter than its header".to_owned())?;
@@ -63,7 +63,7 @@ impl Database {
                 "pages have {usable} bytes for data, expected at least 480"
             ));
         }
-        let length = file.metadata().map_err(|error| error.to_string())?.len();
+        let length = file.length().map_err(|error| error.to_string())?;
         Ok(Self {
             file,
             page_bytes,
@@ -75,7 +75,7 @@ impl Database {
     /// The rows of a table, in the order of their numbers.
     pub fn table(self, name: &str) -> Result<Rows, String> {
         // the table of tables has type, name, table, page where the table begins, text
-        let file = self.file.try_clone().map_err(|error| error.to_string())?;
+        let file = self.file.clone();
         for row in Rows::new(Self { file, ..self }, 1) {
             let (_, values) = row?;
             if let [Value::Text(kind), Value::Text(found), _, page, ..] = values.as_slice()

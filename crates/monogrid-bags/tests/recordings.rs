@@ -82,10 +82,11 @@ fn every_format_gives_images_times_and_camera() {
 fn a_folder_is_read_part_by_part() {
     let folder = tempfile::tempdir().unwrap();
     assert!(!is_bag(folder.path()));
-    for part in ["drive_2.mcap", "drive_10.mcap"] {
+    for part in ["drive_2.mcap", "drive_10.mcap", "walk.mcap"] {
         fs::copy(data("zstd.mcap"), folder.path().join(part)).unwrap();
     }
     assert!(!is_bag(folder.path()), "a folder of files is no recording");
+    fs::remove_file(folder.path().join("walk.mcap")).unwrap();
     fs::write(
         folder.path().join("metadata.yaml"),
         "rosbag2_bagfile_information:\n",

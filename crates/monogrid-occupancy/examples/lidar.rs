@@ -64,7 +64,7 @@ fn main() -> Result<(), MapError> {
     let folder = std::env::temp_dir();
     save_atomically(&folder.join("room.ot"), |file| write_ot(&map, file))?; // for octovis, MoveIt
     save_atomically(&folder.join("room.mgo"), |file| write_mgo(&map, file))?; // exact, small
-    if let Some(grid) = map.projected(-0.8, 1.0) {
+    if let Some(grid) = map.projected(-0.8, 1.0)? {
         println!("{} x {} cells seen from above", grid.width, grid.height); // grid.to_pgm() for nav2
     }
     println!("wrote room.ot and room.mgo to {}", folder.display());

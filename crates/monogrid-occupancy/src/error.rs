@@ -69,6 +69,19 @@ pub enum MapError {
         /// Edge with which maps of such scans are likely to fit.
         fitting_cell: f64,
     },
+    /// The map is too large to be seen from above as a whole.
+    #[error(
+        "the map is {width} x {height} cells seen from above, expected at most {most} in all: take a part of it (`monogrid crop`), \
+         or other heights"
+    )]
+    GridSize {
+        /// Cells along x.
+        width: i64,
+        /// Cells along y.
+        height: i64,
+        /// Most cells.
+        most: i64,
+    },
     /// Maps of different cell size cannot be combined cell by cell.
     #[error("the maps have cells of {left} and {right}: resample one of them first")]
     ResolutionMismatch {

@@ -58,6 +58,8 @@ pub struct OccupancyMap {
     pub(crate) shards: Vec<Shard>,
     pub(crate) revision: u32,
     pub(crate) known_tables: KnownTables,
+    /// Cubes of free space of a file that are unknown here, since no map has room for them.
+    pub(crate) endless_free: usize,
 }
 
 impl OccupancyMap {
@@ -78,8 +80,17 @@ impl OccupancyMap {
             shards: vec![Shard::default(); SHARDS],
             revision: 0,
             known_tables: KnownTables::default(),
+            endless_free: 0,
             config,
         })
+    }
+
+    /// Cubes of free space, of 2048 cells and more along an edge, that the file had from which this
+    /// map was read. They are unknown in it: OctoMap prunes free space to eighths of all there is,
+    /// which no map of cells has room for.
+    #[must_use]
+    pub fn endless_free(&self) -> usize {
+        self.endless_free
     }
 
     /// The settings that the map was made with.

@@ -161,6 +161,93 @@ fn truncated_and_mutated_files_give_errors_or_maps_but_never_a_panic() {
     }
 }
 
+/// The tree of a `.bt`, without its header.
+fn tree_of(map: &OccupancyMap) -> (Vec<u8>, usize) {
+    let mut file = Vec::new();
+    write_bt(map, &mut file).unwrap();
+    let data = b"\ndata\n";
+    let at = file.windows(data.len()).position(|w| w == data).unwrap();
+    (
+        file[at + data.len()..].to_vec(),
+        map.octree_node_count().unwrap(),
+    )
+}
+
+fn small_map() -> OccupancyMap {
+    let mut map = OccupancyMap::new(MapConfig::with_resolution(0.2)).unwrap();
+    for x in 0..20 {
+        let log_odds = if x % 3 == 0 { 3.0 } else { -3.0 };
+        map.set_log_odds(VoxelKey::new(x, -2 * x, 1), Some(log_odds))
+            .unwrap();
+    }
+    map
+}
+
+fn states(map: &OccupancyMap) -> Vec<(VoxelKey, bool)> {
+    let cells = map.cells().map(|cell| (cell.key, cell.log_odds > 0.0));
+    cells.collect()
+}
+
+#[test]
+fn trees_of_other_names_and_of_old_versions_are_read() {
+    let map = small_map();
+    let (tree, nodes) = tree_of(&map);
+    for id in ["OcTree", "OcTreeStamped", "ColorOcTree", "1"] {
+        let header =
+            format!("# Octomap OcTree binary file\nid {id}\nsize {nodes}\nres 0.2\ndata\n");
+        let file = [header.as_bytes(), &tree].concat();
+        let read = read_bt(&file[..], usize::MAX).unwrap();
+        assert_eq!(states(&read), states(&map), "{id}");
+    }
+    let size = (nodes as u32).to_le_bytes();
+    let old = [
+        &[3, 0, 0, 0],
+        0.2_f64.to_le_bytes().as_slice(),
+        &size,
+        &tree,
+    ]
+    .concat();
+    let (read, format) = read_map(&old[..], old.len() as u64).unwrap();
+    assert_eq!((states(&read), format), (states(&map), MapFormat::Bt));
+    assert_eq!(read.resolution(), 0.2);
+    for end in 0..old.len() {
+        assert!(read_bt(&old[..end], usize::MAX).is_err(), "{end}");
+    }
+    let mut full = Vec::new();
+    write_ot(&map, &mut full).unwrap();
+    let stamped = String::from_utf8_lossy(&full[..200])
+        .find("id OcTree\n")
+        .unwrap();
+    full.splice(stamped + 9..stamped + 9, *b"Stamped");
+    assert_eq!(
+        states(&read_ot(&full[..], usize::MAX).unwrap()),
+        states(&map)
+    );
+    let counting = b"# Octomap OcTree file\nid CountingOcTree\nsize 1\nres 0.2\ndata\n";
+    let error = read_ot(&counting[..], usize::MAX).unwrap_err().to_string();
+    assert!(error.contains("CountingOcTree"), "{error}");
+}
+
+#[test]
+fn eighths_of_all_space_that_are_free_are_left_out_and_counted() {
+    // a root with seven free leaves, and one octant down to a cell
+    let mut file = b"# Octomap OcTree file\nid OcTree\nsize 24\nres 0.1\ndata\n".to_vec();
+    let mut node = |log_odds: f32, children: u8| {
+        file.extend(log_odds.to_le_bytes());
+        file.push(children);
+    };
+    node(1.0, 0xff);
+    (0..7).for_each(|_| node(-1.0, 0));
+    (1..16).for_each(|_| node(1.0, 1));
+    node(1.0, 0);
+    let map = read_ot(&file[..], 1 << 20).unwrap();
+    assert_eq!((map.endless_free(), map.cells().count()), (7, 1));
+    // occupied ones cannot be left out
+    let at = file.len() - 5 * 22;
+    file[at..at + 4].copy_from_slice(&1.0_f32.to_le_bytes());
+    assert!(read_ot(&file[..], 1 << 20).is_err());
+}
+
 #[test]
 fn a_tiny_file_that_claims_the_whole_world_does_not_fill_the_memory() {
     let mut file = b"# Octomap OcTree file\nid OcTree\nsize 1\nres 0.1\ndata\n".to_vec();

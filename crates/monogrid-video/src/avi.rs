@@ -4,8 +4,7 @@
 //! parts where the file is longer than 1 GiB), each a JPEG image. An empty chunk says that the frame
 //! before is shown again; it only counts for the time.
 
-use crate::turn::Turn;
-use crate::{Here, Opened, VideoError, VideoFrame, jpeg_frame, time_at_rate};
+use crate::{Elsewhere, Here, Opened, VideoError, VideoFrame, jpeg_frame, time_at_rate};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 
@@ -44,19 +43,18 @@ pub(crate) fn open(name: &str, file: File) -> Result<Here, VideoError> {
     let stream = find_stream(&headers).ok_or_else(|| damaged("no video stream"))?;
     if !stream.codec.eq_ignore_ascii_case(b"MJPG") {
         let codec = String::from_utf8_lossy(&stream.codec).into_owned();
-        return Ok(Err(format!("AVI, codec {codec:?}")));
+        return Ok(Err(Elsewhere::new(format!("AVI, codec {codec:?}"))));
     }
+    let length = Some(stream.frames as usize).filter(|&frames| frames > 0);
+    let frames = AviFrames {
+        name: name.to_owned(),
+        reader,
+        stream,
+        frame: 0,
+    };
     Ok(Ok(Opened {
-        description: "AVI, MJPEG".to_owned(),
-        length: Some(stream.frames as usize).filter(|&frames| frames > 0),
-        live: false,
-        turn: Turn::None,
-        frames: Box::new(AviFrames {
-            name: name.to_owned(),
-            reader,
-            stream,
-            frame: 0,
-        }),
+        length,
+        ..Opened::new("AVI, MJPEG", Box::new(frames))
     }))
 }
 

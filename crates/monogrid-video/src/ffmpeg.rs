@@ -7,7 +7,7 @@
 use crate::program::Program;
 use crate::turn::Turn;
 use crate::y4m::Y4mReader;
-use crate::{Opened, VideoError, VideoFrame};
+use crate::{Elsewhere, MIRRORED, Missing, Opened, VideoError, VideoFrame};
 use std::io::{BufRead, BufReader};
 use std::process::{ChildStderr, ChildStdout, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
@@ -25,6 +25,10 @@ pub(crate) const INSTALL_COMMAND: &str = if cfg!(target_os = "macos") {
 /// Planes of 8 bits without stretching them, and the times.
 const FILTER: &str =
     "format=pix_fmts=yuv420p|yuvj420p|yuv422p|yuvj422p|yuv444p|yuvj444p,showinfo=checksum=0";
+
+/// Makes whole frames of those that are marked as made of fields, as many as there were. It holds
+/// one frame back, which a stream that is followed as it comes cannot wait for.
+const DEINTERLACE: &str = "bwdif=mode=send_frame:deint=interlaced";
 
 /// Longest message that is kept, characters.
 const MAX_MESSAGE: usize = 300;
@@ -51,23 +55,30 @@ const LIMITED_SCHEMES: [&str; 6] = ["http", "https", "rtmp", "rtmps", "tcp", "tl
 /// How long such a connection may be silent: longer than is usually waited for, which has the better message.
 const SILENCE_US: &str = "60000000";
 
-/// Starts ffmpeg on a file or address; `found` says why it is not decoded here.
-pub(crate) fn open(name: &str, found: &str, program: &Program) -> Result<Opened, VideoError> {
+/// Starts ffmpeg on a file or address.
+pub(crate) fn open(
+    name: &str,
+    elsewhere: &Elsewhere,
+    program: &Program,
+) -> Result<Opened, VideoError> {
     let live = name.contains("://");
-    let pipes = program.start(&mut command(name, live), |child| {
+    let found = &elsewhere.found;
+    let mut command = command(name, live, elsewhere.is_mirrored);
+    let pipes = program.start(&mut command, |child| {
         (child.stdout.take(), child.stderr.take())
     });
     let (stdout, stderr) = pipes.map_err(|e| match e.kind() {
         std::io::ErrorKind::NotFound => VideoError::NeedsFfmpeg {
             video: name.to_owned(),
-            found: found.to_owned(),
+            found: found.clone(),
         },
         std::io::ErrorKind::Interrupted => VideoError::Interrupted {
             video: name.to_owned(),
         },
         _ => VideoError::io("ffmpeg", e),
     })?;
-    let (messages, said) = listen(stderr)?;
+    let missing = Missing::default();
+    let (messages, said) = listen(stderr, missing.clone())?;
     let mut process = Process {
         name: name.to_owned(),
         program: program.clone(),
@@ -75,24 +86,41 @@ pub(crate) fn open(name: &str, found: &str, program: &Program) -> Result<Opened,
     };
     let stdout = stdout.ok_or_else(|| process.failure())?;
     let frames = Y4mReader::new(name, BufReader::with_capacity(1 << 20, stdout))
-        .map_err(|_| process.failure())?;
-    let (turn, first_ns) = before_the_first_frame(&said);
+        .map_err(|_| process.failure())?
+        .with_whole_frames();
+    let before = Before::the_first_frame(&said);
+    let is_mirrored = elsewhere.is_mirrored.then(|| MIRRORED.to_owned());
+    let interlaced = before.is_interlaced.then(|| interlaced(live).to_owned());
     Ok(Opened {
-        description: format!("{found}, decoded by ffmpeg"),
-        length: None,
         live,
-        turn,
-        frames: Box::new(FfmpegFrames {
-            frames,
-            num_frames: 0,
-            first_ns,
-            said,
-            process,
-        }),
+        turn: before.turn,
+        pixels: frames.pixels(),
+        notes: is_mirrored.into_iter().chain(interlaced).collect(),
+        missing,
+        ..Opened::new(
+            format!("{found}, decoded by ffmpeg"),
+            Box::new(FfmpegFrames {
+                frames,
+                num_frames: 0,
+                first_ns: before.first_ns,
+                said,
+                process,
+            }),
+        )
     })
 }
 
-fn command(name: &str, live: bool) -> Command {
+/// What is said of a source that is made of fields.
+fn interlaced(live: bool) -> &'static str {
+    match live {
+        true => {
+            "the stream is interlaced and is not deinterlaced while it comes: set the camera to progressive, or record it first"
+        }
+        false => "the video is interlaced: ffmpeg makes whole frames of its fields (bwdif)",
+    }
+}
+
+fn command(name: &str, live: bool, is_mirrored: bool) -> Command {
     let mut command = Command::new("ffmpeg");
     command.args(["-hide_banner", "-nostats", "-loglevel", "info", "-nostdin"]);
     let scheme = name.split("://").next().unwrap_or_default();
@@ -111,6 +139,13 @@ fn command(name: &str, live: bool) -> Command {
         command.args(["-protocol_whitelist", PROTOCOLS_OF_FILES]);
         command.args(["-format_whitelist", FORMATS]);
     }
+    if is_mirrored {
+        command.arg("-noautorotate");
+    }
+    let filter = match live {
+        true => FILTER.to_owned(),
+        false => format!("{FILTER},{DEINTERLACE}"),
+    };
     // `file:` so that a name with a colon is not taken for an address
     let input = if live {
         name.to_owned()
@@ -119,7 +154,7 @@ fn command(name: &str, live: bool) -> Command {
     };
     command
         .args(["-i", &input, "-map", "0:v:0", "-vsync", "passthrough"])
-        .args(["-vf", FILTER, "-f", "yuv4mpegpipe", "-strict", "-1", "-"])
+        .args(["-vf", &filter, "-f", "yuv4mpegpipe", "-strict", "-1", "-"])
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped());
@@ -131,41 +166,58 @@ fn command(name: &str, live: bool) -> Command {
 enum Said {
     /// How far it turns frames, degrees anticlockwise.
     Turned(f64),
-    /// Time of a frame, ns.
-    Shown(i64),
+    /// Time of a frame, ns, and whether it is made of fields.
+    Shown(i64, bool),
 }
 
 impl Said {
     fn of(line: &str) -> Option<Self> {
         shown_ns(line)
-            .map(Self::Shown)
+            .map(|time_ns| Self::Shown(time_ns, is_interlaced(line)))
             .or_else(|| turned_degrees(line).map(Self::Turned))
     }
 }
 
-/// How frames are turned, and the time of the first one.
-fn before_the_first_frame(said: &Receiver<Said>) -> (Turn, Option<i64>) {
-    let mut turn = None;
-    for said in said {
-        match said {
-            // the first is the input's, the second what is left in the output
-            Said::Turned(degrees) => turn = turn.or(Some(degrees)),
-            Said::Shown(first_ns) => {
-                let turn = turn.and_then(Turn::from_degrees);
-                return (turn.unwrap_or_default(), Some(first_ns));
+/// What ffmpeg says up to the first frame.
+#[derive(Debug, Default, PartialEq)]
+struct Before {
+    turn: Turn,
+    first_ns: Option<i64>,
+    is_interlaced: bool,
+}
+
+impl Before {
+    fn the_first_frame(said: &Receiver<Said>) -> Self {
+        let mut turn = None;
+        for said in said {
+            match said {
+                // the first is the input's, the second what is left in the output
+                Said::Turned(degrees) => turn = turn.or(Some(degrees)),
+                Said::Shown(first_ns, is_interlaced) => {
+                    return Self {
+                        turn: turn.and_then(Turn::from_degrees).unwrap_or_default(),
+                        first_ns: Some(first_ns),
+                        is_interlaced,
+                    };
+                }
             }
         }
+        Self::default()
     }
-    (Turn::None, None)
 }
 
 /// Reads what ffmpeg says: of the video and its frames as they come, its last words at the end.
-fn listen(stderr: Option<ChildStderr>) -> Result<(JoinHandle<String>, Receiver<Said>), VideoError> {
+/// Frames that it cannot decode are counted.
+fn listen(
+    stderr: Option<ChildStderr>,
+    missing: Missing,
+) -> Result<(JoinHandle<String>, Receiver<Said>), VideoError> {
     let (sender, said) = channel();
     let read = move || {
         let (mut last_words, mut refused) = (String::new(), None);
         let lines = stderr.into_iter().flat_map(|e| BufReader::new(e).lines());
         for line in lines.map_while(Result::ok) {
+            missing.add(usize::from(is_undecoded(&line)));
             match Said::of(&line) {
                 // nobody listens any more: the rest is still read, or ffmpeg would wait
                 Some(said) => drop(sender.send(said)),
@@ -201,6 +253,24 @@ fn shown_ns(line: &str) -> Option<i64> {
     let word = line.split("pts_time:").nth(1)?.split_whitespace().next()?;
     let seconds: f64 = word.parse().ok()?;
     (seconds.abs() < 1e9).then(|| (seconds * 1e9).round() as i64)
+}
+
+/// Whether a line of `showinfo` is of a frame made of fields: `... i:T iskey:1 ...` where whole
+/// ones have `i:P`.
+fn is_interlaced(line: &str) -> bool {
+    let mut words = line.split_whitespace();
+    words.any(|word| matches!(word, "i:T" | "i:B"))
+}
+
+/// Whether a line says that a frame could not be decoded, or not as a whole.
+fn is_undecoded(line: &str) -> bool {
+    [
+        "Error while decoding stream",
+        "Error submitting packet to decoder",
+        "corrupt decoded frame",
+    ]
+    .iter()
+    .any(|said| line.contains(said))
 }
 
 /// How far frames are turned by a line of the description of the input: `displaymatrix: rotation of -90.00 degrees`.
@@ -262,7 +332,7 @@ impl Iterator for FfmpegFrames {
 
     fn next(&mut self) -> Option<Self::Item> {
         let shown = |said| match said {
-            Said::Shown(time_ns) => Some(time_ns),
+            Said::Shown(time_ns, _) => Some(time_ns),
             Said::Turned(_) => None,
         };
         let next_ns = || self.said.iter().find_map(shown);
@@ -285,7 +355,7 @@ impl Iterator for FfmpegFrames {
 
 #[cfg(test)]
 mod tests {
-    use super::{Said, before_the_first_frame, refusal, shown_ns};
+    use super::{Before, Said, is_undecoded, refusal, shown_ns};
     use crate::turn::Turn;
     use std::sync::mpsc::channel;
 
@@ -295,18 +365,32 @@ mod tests {
             "Input #0, mov,mp4,m4a,3gp,3g2,mj2, from 'video.mp4':",
             "      displaymatrix: rotation of -90.00 degrees",
             "      displaymatrix: rotation of -0.00 degrees",
-            "[Parsed_showinfo_1 @ 0x55] n:   0 pts:   1501 pts_time:0.5 duration: 500",
-            "[Parsed_showinfo_1 @ 0x55] n:   1 pts:   1501 pts_time:0.6 duration: 500",
+            "[Parsed_showinfo_1 @ 0x55] n:   0 pts:   1501 pts_time:0.5 duration: 500 i:P iskey:1",
+            "[Parsed_showinfo_1 @ 0x55] n:   1 pts:   1501 pts_time:0.6 duration: 500 i:T iskey:0",
         ];
         let (sender, said) = channel();
         for said in lines.into_iter().filter_map(Said::of) {
             sender.send(said).unwrap();
         }
         drop(sender);
-        let before = before_the_first_frame(&said);
-        assert_eq!(before, (Turn::Quarter, Some(500_000_000)));
-        assert_eq!(said.recv(), Ok(Said::Shown(600_000_000)));
-        assert_eq!(before_the_first_frame(&said), (Turn::None, None));
+        let before = Before::the_first_frame(&said);
+        let expected = Before {
+            turn: Turn::Quarter,
+            first_ns: Some(500_000_000),
+            is_interlaced: false,
+        };
+        assert_eq!(before, expected);
+        assert_eq!(said.recv(), Ok(Said::Shown(600_000_000, true)));
+        assert_eq!(Before::the_first_frame(&said), Before::default());
+    }
+
+    #[test]
+    fn frames_that_could_not_be_decoded_are_counted() {
+        assert!(is_undecoded(
+            "Error while decoding stream #0:0: Invalid data found when processing input"
+        ));
+        assert!(is_undecoded("video.mkv: corrupt decoded frame in stream 0"));
+        assert!(!is_undecoded("[h264 @ 0x1] mmco: unref short failure"));
     }
 
     #[test]

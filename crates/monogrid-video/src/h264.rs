@@ -1,12 +1,21 @@
-//! H.264 in MP4 and MOV, decoded in this process.
+//! H.264 in MP4, MOV and packets, decoded in this process.
+
+mod aspect;
+mod packets;
+
+pub(crate) use packets::PacketFrames;
 
 use crate::mp4::{self, Sample, Track};
+use crate::pixels::PixelShape;
 use crate::turn::Turn;
 use crate::y4m::in_bytes;
-use crate::{Chroma, Colour, ColourSpace, Grey, Here, Opened, VideoError, VideoFrame};
+use crate::{
+    Chroma, Colour, ColourSpace, Elsewhere, Grey, Here, MIRRORED, Missing, Opened, VideoError,
+    VideoFrame,
+};
 use rust_h264::decoder::{ChromaFormat, Frame, OrderedDecoder};
 use rust_h264::nal::{NalUnit, NalUnitType, parse_avcc, parse_sps_info};
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 
@@ -21,8 +30,11 @@ const MAX_SAMPLE_BYTES: u32 = 1 << 25;
 pub(crate) fn open(name: &str, mut file: File, file_bytes: u64) -> Result<Here, VideoError> {
     let track = match mp4::read(name, &mut file, file_bytes)? {
         Ok(track) => track,
-        Err(found) => return Ok(Err(found)),
+        Err(elsewhere) => return Ok(Err(elsewhere)),
     };
+    let is_mirrored = track.is_mirrored;
+    let elsewhere = |found| Ok(Err(Elsewhere { found, is_mirrored }));
+    let mut pixels = track.pixels;
     let mut decoder = OrderedDecoder::new();
     let mut space = ColourSpace::default();
     let parameter_sets = track.config.sps_list.iter().chain(&track.config.pps_list);
@@ -30,28 +42,46 @@ pub(crate) fn open(name: &str, mut file: File, file_bytes: u64) -> Result<Here, 
         let prefixed = [&(set.len() as u32).to_be_bytes(), set.as_slice()].concat();
         for unit in parse_avcc(&prefixed, 4) {
             space = colour_space(&unit).unwrap_or(space);
+            if may_be_interlaced(&unit) {
+                return elsewhere("H.264, which may be interlaced".to_owned());
+            }
+            pixels = pixels.or_else(|| aspect::pixel_shape(&unit));
             if let Err(reason) = decode_unit(&mut decoder, &unit, 0) {
-                return Ok(Err(format!("H.264, {reason}")));
+                return elsewhere(format!("H.264, {reason}"));
             }
         }
     }
     let shown = |sample: &Sample| track.timing.shown_ns(sample.time).is_some();
     let length = track.samples.clone().filter(shown).count();
+    let (turn, missing) = (track.turn, Missing::default());
+    let pixels = pixels.unwrap_or(PixelShape::SQUARE);
+    let frames = H264Frames {
+        name: name.to_owned(),
+        file,
+        track,
+        space,
+        decoder,
+        ready: VecDeque::new(),
+        sample: 0,
+        awaited: BTreeSet::new(),
+        given_up: BTreeSet::new(),
+        missing: missing.clone(),
+        ended: false,
+    };
     Ok(Ok(Opened {
-        description: "MP4, H.264".to_owned(),
         length: Some(length),
-        live: false,
-        turn: track.turn,
-        frames: Box::new(H264Frames {
-            name: name.to_owned(),
-            file,
-            track,
-            space,
-            decoder,
-            ready: VecDeque::new(),
-            sample: 0,
-            ended: false,
-        }),
+        turn,
+        pixels: if turn.swaps_sides() {
+            pixels.turned()
+        } else {
+            pixels
+        },
+        notes: is_mirrored
+            .then(|| MIRRORED.to_owned())
+            .into_iter()
+            .collect(),
+        missing,
+        ..Opened::new("MP4, H.264", Box::new(frames))
     }))
 }
 
@@ -66,6 +96,11 @@ struct H264Frames {
     ready: VecDeque<(Frame, i64)>,
     /// Samples read so far.
     sample: usize,
+    /// Times of samples, units of the track, of which neither a frame nor an error has come.
+    awaited: BTreeSet<i64>,
+    /// Those that were counted as missing.
+    given_up: BTreeSet<i64>,
+    missing: Missing,
     ended: bool,
 }
 
@@ -79,8 +114,14 @@ impl H264Frames {
         };
         let number = self.sample;
         self.sample += 1;
+        if self.track.timing.shown_ns(sample.time).is_some() {
+            self.awaited.insert(sample.time);
+        }
         let failed = |reason: String| VideoError::frame(&self.name, number, reason);
-        let bytes = read_sample(&mut self.file, sample).map_err(|e| failed(e.to_string()))?;
+        let bytes = read_sample(&mut self.file, sample).map_err(|e| {
+            self.awaited.remove(&sample.time);
+            failed(e.to_string())
+        })?;
         let mut first_error = None;
         // of the length in front of each unit
         let length_bytes = usize::from(self.track.config.length_size_minus_one.get()) + 1;
@@ -90,12 +131,34 @@ impl H264Frames {
                 Err(reason) => first_error = first_error.or(Some(reason)),
             }
         }
-        first_error.map_or(Ok(()), |reason| Err(failed(reason)))
+        let Some(reason) = first_error else {
+            return Ok(());
+        };
+        self.awaited.remove(&sample.time);
+        Err(failed(reason))
+    }
+
+    /// Notes that a frame of this time has come: those of earlier samples come no more, unless times
+    /// were swapped.
+    fn arrived(&mut self, time: i64) {
+        if !self.awaited.remove(&time) && self.given_up.remove(&time) {
+            self.missing.take_back();
+        }
+        let later = self.awaited.split_off(&time);
+        self.give_up();
+        self.awaited = later;
+    }
+
+    /// Counts the samples that are awaited as missing.
+    fn give_up(&mut self) {
+        self.missing.add(self.awaited.len());
+        self.given_up.append(&mut self.awaited);
     }
 
     /// The next frame that is shown.
     fn take_ready(&mut self) -> Option<Result<VideoFrame, VideoError>> {
         while let Some((frame, time)) = self.ready.pop_front() {
+            self.arrived(time);
             let Some(timestamp_ns) = self.track.timing.shown_ns(time) else {
                 continue;
             };
@@ -124,6 +187,7 @@ impl Iterator for H264Frames {
                 return Some(frame);
             }
             if self.ended {
+                self.give_up();
                 return None;
             }
             if let Err(error) = self.advance() {
@@ -177,6 +241,13 @@ fn picture(frame: Frame, space: ColourSpace, turn: Turn) -> Option<(Grey, Colour
     let chroma = Chroma::new([&u, &v], size, space, turn);
     let colour = chroma.map_or(Colour::Grey, Colour::Chroma);
     Some((turn.apply(Grey::from_vec(width, height, y)?), colour))
+}
+
+/// Whether a unit says that pictures may be fields, or of fields: only ffmpeg sees which of them
+/// are, and makes whole ones of them.
+fn may_be_interlaced(unit: &NalUnit<'_>) -> bool {
+    unit.nal_unit_type == NalUnitType::Sps
+        && parse_sps_info(unit).is_ok_and(|info| !info.progressive)
 }
 
 /// What a sequence parameter set says of colour; unknown where it is another unit.

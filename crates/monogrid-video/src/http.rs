@@ -1,7 +1,6 @@
 //! MJPEG over HTTP (`multipart/x-mixed-replace`): what apps that make a phone a camera serve.
 
 use crate::error::endless_header;
-use crate::turn::Turn;
 use crate::{Opened, VideoError, VideoFrame, jpeg_frame};
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::TcpStream;
@@ -52,17 +51,15 @@ pub(crate) fn open(address: &str) -> Result<Option<Opened>, VideoError> {
     if !value(&header, "content-type").is_some_and(|v| v.starts_with("multipart/")) {
         return Ok(None);
     }
+    let frames = MjpegFrames {
+        name: address.to_owned(),
+        reader,
+        begin: Instant::now(),
+        frame: 0,
+    };
     Ok(Some(Opened {
-        description: "MJPEG over HTTP".to_owned(),
-        length: None,
         live: true,
-        turn: Turn::None,
-        frames: Box::new(MjpegFrames {
-            name: address.to_owned(),
-            reader,
-            begin: Instant::now(),
-            frame: 0,
-        }),
+        ..Opened::new("MJPEG over HTTP", Box::new(frames))
     }))
 }
 

@@ -39,7 +39,9 @@ mod error;
 mod ffmpeg;
 mod h264;
 mod http;
+mod kind;
 mod mp4;
+mod pixels;
 mod program;
 mod recording;
 mod turn;
@@ -49,16 +51,22 @@ pub use aside::{Aside, Patience, Sink, Waited};
 pub use camera::{CameraInfo, list_cameras};
 pub use colour::{Chroma, Colour, ColourSpace};
 pub use error::VideoError;
+pub use kind::is_video_file;
 pub use monogrid_bags::is_bag as is_recording;
+pub use recording::Recorded;
 
+use kind::Kind;
 use monogrid_datasets::decode_jpeg_luma;
-use monogrid_geometry::{Camera, ReadoutDirection};
+use monogrid_geometry::ReadoutDirection;
 use monogrid_image::Image;
+use pixels::PixelShape;
 use program::Program;
 use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 use turn::Turn;
 
@@ -67,9 +75,6 @@ pub type Grey = Image<u8>;
 
 /// Most pixels of a frame: 8K and a half; more is taken for damage.
 pub(crate) const MAX_PIXELS: usize = 1 << 26;
-
-/// Bytes by which files are told apart.
-const SNIFFED_BYTES: usize = 16;
 
 /// One frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -94,8 +99,7 @@ pub struct Video {
     begun: Begun,
     messages: Aside<Message>,
     program: Program,
-    last_ns: Option<i64>,
-    repaired: usize,
+    clock: Clock,
     ended: bool,
 }
 
@@ -114,7 +118,29 @@ struct Begun {
     live: bool,
     turn: Turn,
     size: (usize, usize),
-    camera: Option<Camera>,
+    stored_size: (usize, usize),
+    notes: Vec<String>,
+    missing: Missing,
+    recorded: Recorded,
+}
+
+/// Frames that a file should have and that gave no picture, so far.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Missing(Arc<AtomicUsize>);
+
+impl Missing {
+    pub(crate) fn add(&self, frames: usize) {
+        self.0.fetch_add(frames, Ordering::Relaxed);
+    }
+
+    /// One that was counted has come.
+    pub(crate) fn take_back(&self) {
+        self.0.fetch_sub(1, Ordering::Relaxed);
+    }
+
+    fn count(&self) -> usize {
+        self.0.load(Ordering::Relaxed)
+    }
 }
 
 /// A decoder and what is known before the first frame.
@@ -124,14 +150,55 @@ pub(crate) struct Opened {
     pub(crate) live: bool,
     /// How frames were turned to be upright.
     pub(crate) turn: Turn,
+    /// The shape of their pixels, as they were turned.
+    pub(crate) pixels: PixelShape,
+    /// What people should know of how the source is read.
+    pub(crate) notes: Vec<String>,
+    pub(crate) missing: Missing,
     pub(crate) frames: Frames,
 }
+
+impl Opened {
+    /// Of upright frames with square pixels.
+    pub(crate) fn new(description: impl Into<String>, frames: Frames) -> Self {
+        Self {
+            description: description.into(),
+            length: None,
+            live: false,
+            turn: Turn::None,
+            pixels: PixelShape::SQUARE,
+            notes: Vec::new(),
+            missing: Missing::default(),
+            frames,
+        }
+    }
+}
+
+/// A file that is not decoded here.
+pub(crate) struct Elsewhere {
+    /// What it is, for people.
+    pub(crate) found: String,
+    /// Whether its container mirrors the picture, which is not to be done.
+    pub(crate) is_mirrored: bool,
+}
+
+impl Elsewhere {
+    pub(crate) fn new(found: impl Into<String>) -> Self {
+        Self {
+            found: found.into(),
+            is_mirrored: false,
+        }
+    }
+}
+
+/// What is said of a container that mirrors its picture.
+pub(crate) const MIRRORED: &str = "the display matrix of the container mirrors the picture, and a mirrored picture makes a mirrored \
+                                   world: images are used as they are stored";
 
 /// A decoder whose first frame was read.
 struct Started {
     begun: Begun,
-    /// What was read for that.
-    ahead: VecDeque<Result<VideoFrame, VideoError>>,
+    /// From the first one on.
     frames: Frames,
 }
 
@@ -154,10 +221,10 @@ impl Source {
         } else if name.starts_with("http://") {
             match http::open(name)? {
                 Some(stream) => stream,
-                None => ffmpeg::open(name, "not an MJPEG stream", &self.program)?,
+                None => self.by_ffmpeg(Elsewhere::new("not an MJPEG stream"))?,
             }
         } else if name.contains("://") {
-            ffmpeg::open(name, "a network stream", &self.program)?
+            self.by_ffmpeg(Elsewhere::new("a network stream"))?
         } else if camera::is_camera(path) {
             camera::open(path)?
         } else if is_pipe(path) {
@@ -170,22 +237,26 @@ impl Source {
 
     /// A file that is decoded here if possible, otherwise by ffmpeg.
     fn start_file(&self) -> Result<Started, VideoError> {
-        let found = match open_here(&self.path, &self.name)? {
+        let elsewhere = match open_here(&self.path, &self.name)? {
             Ok(opened) => match Started::new(&self.name, opened) {
                 // the first frame is the first that shows what the decoder cannot do
-                Err(VideoError::Frame { reason, .. }) => reason,
+                Err(VideoError::Frame { reason, .. }) => Elsewhere::new(reason),
                 outcome => return outcome,
             },
-            Err(found) => found,
+            Err(elsewhere) => elsewhere,
         };
-        Started::new(&self.name, ffmpeg::open(&self.name, &found, &self.program)?)
+        Started::new(&self.name, self.by_ffmpeg(elsewhere)?)
+    }
+
+    fn by_ffmpeg(&self, elsewhere: Elsewhere) -> Result<Opened, VideoError> {
+        ffmpeg::open(&self.name, &elsewhere, &self.program)
     }
 
     /// A topic of a recording.
     fn start_recording(&self, topic: Option<&str>) -> Result<Started, VideoError> {
         let (opened, camera) = recording::open(&self.path, &self.name, topic)?;
         let mut started = Started::new(&self.name, opened)?;
-        started.begun.camera = camera;
+        started.begun.recorded = camera;
         Ok(started)
     }
 }
@@ -194,23 +265,34 @@ impl Started {
     /// Reads the first frame, for the size.
     fn new(name: &str, opened: Opened) -> Result<Self, VideoError> {
         let mut ahead = VecDeque::new();
+        let pixels = opened.pixels;
         let mut frames = opened.frames;
         for _ in 0..MAX_UNREADABLE_AT_START {
             match frames.next() {
                 Some(Ok(frame)) => {
-                    let size = (frame.image.width(), frame.image.height());
+                    let stored_size = (frame.image.width(), frame.image.height());
+                    let mut notes = opened.notes;
+                    notes.extend(pixels.note(stored_size));
                     ahead.push_back(Ok(frame));
+                    let begun = Begun {
+                        description: opened.description,
+                        length: opened.length,
+                        live: opened.live,
+                        turn: opened.turn,
+                        size: pixels.square_size(stored_size).unwrap_or(stored_size),
+                        stored_size,
+                        notes,
+                        missing: opened.missing,
+                        recorded: Ok(None),
+                    };
+                    let frames = ahead.into_iter().chain(frames);
+                    let squared = move |frame: VideoFrame| VideoFrame {
+                        image: pixels.squared(frame.image),
+                        ..frame
+                    };
                     return Ok(Self {
-                        begun: Begun {
-                            description: opened.description,
-                            length: opened.length,
-                            live: opened.live,
-                            turn: opened.turn,
-                            size,
-                            camera: None,
-                        },
-                        ahead,
-                        frames,
+                        begun,
+                        frames: Box::new(frames.map(move |frame| frame.map(squared))),
                     });
                 }
                 Some(Err(error)) if error.is_single_frame() => ahead.push_back(Err(error)),
@@ -229,7 +311,7 @@ impl Started {
         if !sink.put(Message::Begun(Ok(self.begun))) {
             return;
         }
-        for frame in self.ahead.into_iter().chain(self.frames) {
+        for frame in self.frames {
             if !sink.put(Message::Frame(frame)) {
                 return;
             }
@@ -265,12 +347,12 @@ impl Video {
         source: impl AsRef<Path>,
         topic: Option<&str>,
         patience: Patience,
-    ) -> Result<(Self, Option<Camera>), VideoError> {
+    ) -> Result<(Self, Recorded), VideoError> {
         let topic = topic.map(str::to_owned);
         let start = move |source: &Source| source.start_recording(topic.as_deref());
-        let video = Self::begin(source.as_ref(), patience, start)?;
-        let camera = video.begun.camera;
-        Ok((video, camera))
+        let mut video = Self::begin(source.as_ref(), patience, start)?;
+        let recorded = std::mem::replace(&mut video.begun.recorded, Ok(None));
+        Ok((video, recorded))
     }
 
     fn begin(
@@ -303,8 +385,7 @@ impl Video {
                 begun,
                 messages,
                 program,
-                last_ns: None,
-                repaired: 0,
+                clock: Clock::default(),
                 ended: false,
             }),
             Err(error) => {
@@ -344,6 +425,13 @@ impl Video {
         self.begun.size
     }
 
+    /// Width and height of the first frame before its pixels were made square, px: a calibration
+    /// may be for images of this size.
+    #[must_use]
+    pub fn stored_size(&self) -> (usize, usize) {
+        self.begun.stored_size
+    }
+
     /// Which way over its images a rolling shutter runs.
     #[must_use]
     pub fn readout_direction(&self) -> ReadoutDirection {
@@ -353,25 +441,33 @@ impl Video {
     /// Frames so far whose time did not come after that of the frame before and was set right behind it.
     #[must_use]
     pub fn repaired_times(&self) -> usize {
-        self.repaired
+        self.clock.repaired
+    }
+
+    /// How the source was understood, in sentences: what a person should know before results are
+    /// believed.
+    #[must_use]
+    pub fn notes(&self) -> &[String] {
+        &self.begun.notes
+    }
+
+    /// What was wrong with the frames so far, in sentences: frames that are missing, times that go
+    /// back.
+    #[must_use]
+    pub fn faults(&self) -> Vec<String> {
+        let missing = self.begun.missing.count();
+        let missing = (missing > 0).then(|| {
+            format!(
+                "{missing} frames of the file are damaged or could not be decoded: they are missing, or show what is not so"
+            )
+        });
+        missing.into_iter().chain(self.clock.fault()).collect()
     }
 
     /// CPU time of reading until the last frame.
     #[must_use]
     pub fn cpu(&self) -> Duration {
         self.messages.cpu()
-    }
-
-    /// Times that increase: containers written by editors repeat times, or swap them by microseconds.
-    fn increasing(&mut self, mut frame: VideoFrame) -> VideoFrame {
-        if let Some(last_ns) = self.last_ns
-            && frame.timestamp_ns <= last_ns
-        {
-            frame.timestamp_ns = last_ns.saturating_add(1);
-            self.repaired += 1;
-        }
-        self.last_ns = Some(frame.timestamp_ns);
-        frame
     }
 }
 
@@ -393,7 +489,87 @@ impl Iterator for Video {
             Some(Err(error)) => !error.is_single_frame(),
             Some(Ok(_)) => false,
         };
-        item.map(|item| item.map(|frame| self.increasing(frame)))
+        item.map(|item| {
+            item.map(|mut frame| {
+                frame.timestamp_ns = self.clock.increasing(frame.timestamp_ns);
+                frame
+            })
+        })
+    }
+}
+
+/// How far a time must go back to be a clock that was set anew, and not frames that were swapped,
+/// ns.
+const CLOCK_JUMP_NS: i64 = 500_000_000;
+
+/// Swapped times up to this are rounding of editors and not worth a word, ns.
+const ROUNDING_NS: i64 = 1_000_000;
+
+/// Makes times increase: editors repeat times or swap them by microseconds, and clocks of robots
+/// are set back.
+#[derive(Debug, Default)]
+struct Clock {
+    /// The last time that was given out.
+    last_ns: Option<i64>,
+    /// The last difference between two of them that was as the source had it.
+    step_ns: i64,
+    /// Added to times since the clock was set back.
+    shift_ns: i64,
+    /// Times that did not come after the one before.
+    repaired: usize,
+    /// Frames that have not even another time than the one before, or go back by more than
+    /// rounding.
+    faulty: usize,
+    /// How often the clock was set back, and how far at most, ns.
+    jumps: usize,
+    largest_jump_ns: i64,
+}
+
+impl Clock {
+    /// The time that is used for a frame of this time.
+    fn increasing(&mut self, time_ns: i64) -> i64 {
+        let mut used_ns = time_ns.saturating_add(self.shift_ns);
+        if let Some(last_ns) = self.last_ns {
+            let step_ns = used_ns.saturating_sub(last_ns);
+            if step_ns > 0 {
+                self.step_ns = step_ns;
+            } else {
+                let back_ns = step_ns.saturating_neg();
+                self.repaired += 1;
+                self.faulty += usize::from(back_ns == 0 || back_ns > ROUNDING_NS);
+                let is_jump = back_ns > CLOCK_JUMP_NS;
+                let after_ns = if is_jump { self.step_ns.max(1) } else { 1 };
+                let right_ns = last_ns.saturating_add(after_ns);
+                if is_jump {
+                    self.jumps += 1;
+                    self.largest_jump_ns = self.largest_jump_ns.max(back_ns);
+                    let shift_ns = right_ns.saturating_sub(used_ns);
+                    self.shift_ns = self.shift_ns.saturating_add(shift_ns);
+                }
+                used_ns = right_ns;
+            }
+        }
+        self.last_ns = Some(used_ns);
+        used_ns
+    }
+
+    fn fault(&self) -> Option<String> {
+        let faulty = self.faulty;
+        let set_back = format!(
+            "; the clock was set back {} times, by up to {:.3} s: times behind that go on from those before",
+            self.jumps,
+            self.largest_jump_ns as f64 * 1e-9
+        );
+        (faulty > 0).then(|| {
+            format!(
+                "{faulty} times do not come after those of the frames before{}",
+                if self.jumps > 0 {
+                    &set_back
+                } else {
+                    ": these frames are put right behind them"
+                }
+            )
+        })
     }
 }
 
@@ -450,7 +626,7 @@ impl std::fmt::Debug for Video {
 }
 
 /// What this process makes of a file; or what it is, where it cannot decode it.
-pub(crate) type Here = Result<Opened, String>;
+pub(crate) type Here = Result<Opened, Elsewhere>;
 
 fn open_here(path: &Path, name: &str) -> Result<Here, VideoError> {
     let io = |e| VideoError::io(name, e);
@@ -461,32 +637,25 @@ fn open_here(path: &Path, name: &str) -> Result<Here, VideoError> {
     if !metadata.is_file() {
         return Err(unusable("a folder or device", "a video file"));
     }
-    let mut head = Vec::new();
-    (&mut file)
-        .take(SNIFFED_BYTES as u64)
-        .read_to_end(&mut head)
-        .map_err(io)?;
+    if metadata.len() == 0 {
+        return Err(unusable("an empty file", "a video"));
+    }
+    let kind = Kind::of(&mut file).map_err(io)?;
     file.rewind().map_err(io)?;
-    match head.as_slice() {
-        [] => Err(unusable("an empty file", "a video")),
-        head if head.starts_with(y4m::MAGIC) => Ok(Ok(open_y4m(name, file)?)),
-        [b'R', b'I', b'F', b'F', _, _, _, _, b'A', b'V', b'I', ..] => avi::open(name, file),
-        [_, _, _, _, b'f', b't', b'y', b'p', ..]
-        | [_, _, _, _, b'm', b'o', b'o', b'v', ..]
-        | [_, _, _, _, b'm', b'd', b'a', b't', ..]
-        | [_, _, _, _, b'w', b'i', b'd', b'e', ..] => h264::open(name, file, metadata.len()),
-        _ => Ok(Err("a format that is not read directly".to_owned())),
+    match kind {
+        Some(Kind::Y4m) => Ok(Ok(open_y4m(name, file)?)),
+        Some(Kind::Avi) => avi::open(name, file),
+        Some(Kind::Mp4) => h264::open(name, file, metadata.len()),
+        Some(Kind::Other) | None => Ok(Err(Elsewhere::new("a format that is not read directly"))),
     }
 }
 
 fn open_y4m(name: &str, reader: impl Read + Send + 'static) -> Result<Opened, VideoError> {
     let frames = y4m::Y4mReader::new(name, BufReader::with_capacity(1 << 20, reader))?;
     Ok(Opened {
-        description: "YUV4MPEG2".to_owned(),
-        length: None,
-        live: false,
-        turn: Turn::None,
-        frames: Box::new(frames),
+        pixels: frames.pixels(),
+        notes: frames.note().into_iter().collect(),
+        ..Opened::new("YUV4MPEG2", Box::new(frames))
     })
 }
 
@@ -509,4 +678,46 @@ pub(crate) fn jpeg_frame(
 pub(crate) fn time_at_rate(frame: usize, (numerator, denominator): (u64, u64)) -> i64 {
     let seconds_e9 = frame as u128 * u128::from(denominator) * 1_000_000_000;
     i64::try_from(seconds_e9 / u128::from(numerator)).unwrap_or(i64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Clock;
+
+    fn used(times_ns: &[i64]) -> (Vec<i64>, Clock) {
+        let mut clock = Clock::default();
+        let used = times_ns.iter().map(|t| clock.increasing(*t)).collect();
+        (used, clock)
+    }
+
+    const MS: i64 = 1_000_000;
+
+    #[test]
+    fn times_that_are_repeated_or_swapped_are_put_right_behind() {
+        let (times, clock) = used(&[0, 33 * MS, 33 * MS, 20 * MS, 66 * MS]);
+        assert_eq!(times, [0, 33 * MS, 33 * MS + 1, 33 * MS + 2, 66 * MS]);
+        assert_eq!(clock.repaired, 2);
+        let fault = clock.fault().unwrap();
+        assert!(fault.starts_with("2 times do not"), "{fault}");
+        assert!(!fault.contains("set back"), "{fault}");
+        // what an editor rounds
+        let (_, clock) = used(&[0, 33 * MS, 33 * MS - 900, 66 * MS]);
+        assert_eq!((clock.repaired, clock.fault()), (1, None));
+    }
+
+    #[test]
+    fn a_clock_that_is_set_back_goes_on() {
+        let (times, clock) = used(&[9000 * MS, 9100 * MS, 100 * MS, 200 * MS, 0, 300 * MS]);
+        let expected = [9000, 9100, 9200, 9300, 9300, 9400].map(|t| t * MS);
+        assert_eq!(times[..4], expected[..4]);
+        assert_eq!((times[4], times[5]), (9300 * MS + 1, 9400 * MS));
+        let fault = clock.fault().unwrap();
+        assert!(
+            fault.contains("2 times do not") && fault.contains("back 1 times"),
+            "{fault}"
+        );
+        assert!(fault.contains("9.000 s"), "{fault}");
+        let (times, _) = used(&[i64::MAX, i64::MIN, i64::MAX]);
+        assert!(times.is_sorted(), "{times:?}");
+    }
 }

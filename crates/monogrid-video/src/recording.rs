@@ -1,21 +1,31 @@
 //! Recordings of robots: the images of one topic.
 
-use crate::turn::Turn;
+use crate::h264::PacketFrames;
 use crate::{Colour, Opened, VideoError, VideoFrame};
-use monogrid_bags::{Bag, BagError};
+use monogrid_bags::{Bag, BagError, TopicKind};
 use monogrid_geometry::Camera;
 use monogrid_image::{GrayImage, to_gray8};
 use std::path::Path;
+
+/// The camera that a recording says, where it says one, or why it cannot be used: another may be
+/// given in its place.
+pub type Recorded = Result<Option<Camera>, BagError>;
 
 /// Opens a topic of a recording, or the only one with images; with the camera that the recording says.
 pub(crate) fn open(
     path: &Path,
     name: &str,
     topic: Option<&str>,
-) -> Result<(Opened, Option<Camera>), VideoError> {
+) -> Result<(Opened, Recorded), VideoError> {
     let bag = Bag::open(path)?;
     let topic = bag.image_topic(topic)?;
-    let camera = bag.camera_of(topic)?;
+    // another calibration may take its place
+    let camera = bag.camera_of(topic);
+    let description = format!("recording, topic {}", topic.name);
+    if topic.kind == TopicKind::CompressedVideo {
+        let frames = PacketFrames::new(name, bag.packets(topic));
+        return Ok((Opened::new(description, Box::new(frames)), camera));
+    }
     let images = bag.images(topic);
     let name = name.to_owned();
     let frame = move |(frame, image): (usize, Result<(i64, GrayImage), BagError>)| match image {
@@ -29,12 +39,6 @@ pub(crate) fn open(
         }
         Err(error) => Err(error.into()),
     };
-    let opened = Opened {
-        description: format!("recording, topic {}", topic.name),
-        length: None,
-        live: false,
-        turn: Turn::None,
-        frames: Box::new(images.enumerate().map(frame)),
-    };
+    let opened = Opened::new(description, Box::new(images.enumerate().map(frame)));
     Ok((opened, camera))
 }

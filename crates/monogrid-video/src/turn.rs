@@ -38,6 +38,11 @@ impl Turn {
         }
     }
 
+    /// Whether width becomes height.
+    pub(crate) fn swaps_sides(self) -> bool {
+        matches!(self, Self::Quarter | Self::ThreeQuarters)
+    }
+
     /// Which way the rows of the sensor lie in the upright image, of this size.
     pub(crate) fn readout_direction(self, size: (usize, usize)) -> ReadoutDirection {
         match self {

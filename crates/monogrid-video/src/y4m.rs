@@ -4,6 +4,7 @@
 //! from the end, and because the size in the header comes from outside.
 
 use crate::error::endless_header;
+use crate::pixels::PixelShape;
 use crate::turn::Turn;
 use crate::{Chroma, Colour, ColourSpace, Grey, MAX_PIXELS, VideoError, VideoFrame, time_at_rate};
 use std::io::{BufRead, Read};
@@ -23,6 +24,60 @@ struct Layout {
     has_full_range: bool,
     /// Frames per second: numerator and denominator.
     rate: (u64, u64),
+    pixels: PixelShape,
+    fields: Fields,
+}
+
+/// Whether a frame is made of two fields, taken one after the other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Fields {
+    None,
+    /// The first one has the first, third ... row.
+    TopFirst,
+    BottomFirst,
+    /// Each frame says it.
+    Mixed,
+}
+
+impl Fields {
+    /// As the header of a stream, or the first letter of a frame's, says it.
+    fn of(word: &str) -> Self {
+        match word.as_bytes().first() {
+            Some(b't' | b'T') => Self::TopFirst,
+            Some(b'b' | b'B') => Self::BottomFirst,
+            Some(b'm') => Self::Mixed,
+            _ => Self::None,
+        }
+    }
+
+    /// Those of one frame, by its line.
+    fn of_frame(self, line: &[u8]) -> Self {
+        if self != Self::Mixed {
+            return self;
+        }
+        let text = String::from_utf8_lossy(line);
+        let own = text.split(' ').find_map(|word| word.strip_prefix('I'));
+        own.map_or(Self::None, Self::of)
+    }
+
+    /// The first field alone, with rows between its own: the second was taken later.
+    fn first(self, mut image: Grey) -> Grey {
+        let from = match self {
+            Self::None | Self::Mixed => return image,
+            Self::TopFirst => 1,
+            Self::BottomFirst => 0,
+        };
+        let height = image.height();
+        for y in (from..height).step_by(2) {
+            let above = if y == 0 { 1.min(height - 1) } else { y - 1 };
+            let below = if y + 1 < height { y + 1 } else { above };
+            for x in 0..image.width() {
+                let mean = u16::from(image.at(x, above)).midpoint(image.at(x, below).into());
+                image.set(x, y, mean as u8);
+            }
+        }
+        image
+    }
 }
 
 /// What samples a frame has.
@@ -67,6 +122,7 @@ impl<R: BufRead> Y4mReader<R> {
         if !line.starts_with(b"FRAME") {
             return Err(content(&self.name, "a frame without FRAME in front"));
         }
+        let fields = self.layout.fields.of_frame(&line);
         let planes = self.read_planes().map_err(|e| match e.kind() {
             std::io::ErrorKind::UnexpectedEof => {
                 content(&self.name, format!("an end within frame {}", self.frame))
@@ -77,10 +133,29 @@ impl<R: BufRead> Y4mReader<R> {
         let timestamp_ns = time_at_rate(self.frame, self.layout.rate);
         self.frame += 1;
         Ok(Some(VideoFrame {
-            image,
+            image: fields.first(image),
             colour,
             timestamp_ns,
         }))
+    }
+
+    /// Takes frames as they are, whatever the header says: for who has deinterlaced them.
+    pub(crate) fn with_whole_frames(mut self) -> Self {
+        self.layout.fields = Fields::None;
+        self
+    }
+
+    /// The shape of the pixels.
+    pub(crate) fn pixels(&self) -> PixelShape {
+        self.layout.pixels
+    }
+
+    /// What is done about the way the frames were taken, for people.
+    pub(crate) fn note(&self) -> Option<String> {
+        let is_interlaced = self.layout.fields != Fields::None;
+        is_interlaced.then(|| {
+            "the stream is interlaced: of each frame the first field is used, with rows between its own".to_owned()
+        })
     }
 
     fn read_planes(&mut self) -> std::io::Result<(Grey, Colour)> {
@@ -158,6 +233,7 @@ fn parse_header(line: &[u8]) -> Result<Layout, String> {
     }
     let (mut width, mut height, mut rate, mut colour) = (0, 0, (25, 1), "420");
     let mut has_full_range = false;
+    let (mut pixels, mut fields) = (PixelShape::SQUARE, Fields::None);
     for word in words {
         let Some(value) = word.get(1..) else { continue };
         match word.as_bytes()[0] {
@@ -165,12 +241,14 @@ fn parse_header(line: &[u8]) -> Result<Layout, String> {
             b'H' => height = value.parse().unwrap_or(0),
             b'F' => rate = parse_rate(value).ok_or_else(|| format!("frame rate {value}"))?,
             b'C' => colour = value,
+            b'A' => pixels = PixelShape::parse(value).unwrap_or(pixels),
+            b'I' => fields = Fields::of(value),
             b'X' if value == "COLORRANGE=FULL" => has_full_range = true,
             _ => {}
         }
     }
-    let pixels = usize::checked_mul(width, height).unwrap_or(usize::MAX);
-    if pixels == 0 || pixels > MAX_PIXELS {
+    let area = usize::checked_mul(width, height).unwrap_or(usize::MAX);
+    if area == 0 || area > MAX_PIXELS {
         return Err(format!("frames of {width}x{height} pixels"));
     }
     let planes =
@@ -181,6 +259,8 @@ fn parse_header(line: &[u8]) -> Result<Layout, String> {
         planes,
         has_full_range,
         rate,
+        pixels,
+        fields,
     })
 }
 
@@ -222,6 +302,7 @@ impl Planes {
 #[cfg(test)]
 mod tests {
     use super::{Planes, Y4mReader, parse_header};
+    use crate::pixels::PixelShape;
 
     #[test]
     fn colour_spaces_as_ffmpeg_names_them() {
@@ -255,6 +336,41 @@ mod tests {
         assert_eq!(frames[0].image.as_slice(), [1, 2, 3, 4]);
         assert_eq!(frames[1].image.as_slice(), [255, 2, 3, 4]);
         assert_eq!(frames[1].timestamp_ns, 33_366_666);
+    }
+
+    #[test]
+    fn of_two_fields_the_first_is_used() {
+        let image = |header: &str, frame: &str| {
+            let stream = format!("YUV4MPEG2 W1 H5 F1:1 {header} Cmono\nFRAME{frame}\nabcde");
+            let mut reader = Y4mReader::new("-", stream.as_bytes()).unwrap();
+            let is_said = reader.note().is_some();
+            let image = reader.next().unwrap().unwrap().image;
+            (
+                String::from_utf8(image.as_slice().to_vec()).unwrap(),
+                is_said,
+            )
+        };
+        assert_eq!(image("Ip", ""), ("abcde".to_owned(), false));
+        assert_eq!(image("", ""), ("abcde".to_owned(), false));
+        assert_eq!(image("It", ""), ("abcde".to_owned(), true));
+        assert_eq!(image("Ib", ""), ("bbcdd".to_owned(), true));
+        assert_eq!(image("Im", " Ipp"), ("abcde".to_owned(), true));
+        assert_eq!(image("Im", " Ibi"), ("bbcdd".to_owned(), true));
+        // rows of the second field are the means of those around them
+        let stream = b"YUV4MPEG2 W1 H4 F1:1 It Cmono\nFRAME\n\x0a\xff\x14\xff";
+        let mut reader = Y4mReader::new("-", stream.as_slice()).unwrap();
+        assert_eq!(
+            reader.next().unwrap().unwrap().image.as_slice(),
+            [10, 15, 20, 20]
+        );
+    }
+
+    #[test]
+    fn the_shape_of_pixels_is_read() {
+        let pixels = |header: &str| parse_header(header.as_bytes()).unwrap().pixels;
+        assert_eq!(pixels("YUV4MPEG2 W4 H4 A4:3"), PixelShape::new(4, 3));
+        assert_eq!(pixels("YUV4MPEG2 W4 H4 A0:0"), PixelShape::SQUARE);
+        assert_eq!(pixels("YUV4MPEG2 W4 H4"), PixelShape::SQUARE);
     }
 
     #[test]

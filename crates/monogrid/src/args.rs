@@ -137,12 +137,13 @@ pub struct SourceArgs {
     /// Image of the size of the input, black where pixels must be ignored
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     pub mask: Option<PathBuf>,
-    /// Readings of an inertial sensor beside the camera, CSV [default: mav0/imu0/data.csv, imu0/data.csv, imu.csv or imu.txt in the
-    /// source; `none`: none]
-    #[arg(long, value_name = "FILE|none", help_heading = "Input")]
+    /// Readings of an inertial sensor beside the camera, CSV, or a topic of the recording [default:
+    /// mav0/imu0/data.csv, imu0/data.csv, imu.csv or imu.txt in the source, the topic nearest to
+    /// that of the images; `none`: none]
+    #[arg(long, value_name = "FILE|TOPIC|none", help_heading = "Input")]
     pub imu: Option<PathBuf>,
     /// How the camera is mounted on that sensor: tx ty tz qx qy qz qw or a 4x4 matrix, camera to sensor, metres [default: as the
-    /// sensor.yaml of both say]
+    /// sensor.yaml of both say, or /tf_static of the recording]
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     pub imu_from_camera: Option<PathBuf>,
     /// Milliseconds to add to the times of readings to have those of the images [default: 0]

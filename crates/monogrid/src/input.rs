@@ -16,7 +16,7 @@ use monogrid_geometry::{Camera, Pinhole, ReadoutDirection, Se3};
 use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
 use monogrid_pipeline::{Preparation, SourceFrame, Unusable};
 
-use monogrid_video::Patience;
+use monogrid_video::{Patience, is_recording};
 use monogrid_worlds::SynthSequence;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
@@ -183,7 +183,7 @@ impl RawInput {
             (None, Images::Files(dataset)) if args.fov.is_none() => {
                 dataset.calibration(Some(size)).bad_input()
             }
-            (None, Images::Video(video)) if args.fov.is_none() => Ok(recorded_calibration(video)),
+            (None, Images::Video(video)) if args.fov.is_none() => recorded_calibration(video),
             _ => Ok(None),
         }
     }
@@ -258,7 +258,10 @@ impl Input {
     pub fn open(source: &Path, args: &SourceArgs, usual: WorkingSize) -> Result<Self, Failure> {
         let raw = RawInput::open(source, args)?;
         let (size, direction) = raw.shape()?;
-        let given = raw.calibration(args, size)?;
+        let mut given = raw.calibration(args, size)?;
+        if let (Some(calibration), Images::Video(video)) = (&mut given, &raw.images) {
+            make_square(calibration, video);
+        }
         let known = known_camera(given, args, size, || raw.own_calibration((size, direction)))?;
         let dataset = raw.dataset();
         let photometric = dataset.map_or_else(
@@ -269,9 +272,14 @@ impl Input {
             },
         )?;
         let preparation = preparation(&known, (args, usual), photometric)?;
-        let inertial = Inertial::open(args, dataset, known.body_from_camera)?;
-        let mut warnings = dataset.map_or_else(Vec::new, |dataset| dataset.warnings.clone());
+        let (inertial, no_readings) = readings(&raw, args, known.body_from_camera)?;
+        let mut warnings = match &raw.images {
+            Images::Files(dataset) => dataset.warnings.clone(),
+            Images::Video(video) => video.notes.clone(),
+            Images::Rendered(_) => Vec::new(),
+        };
         warnings.extend(known.warnings);
+        warnings.extend(no_readings);
         Ok(Self {
             name: raw.name,
             images: raw.images,
@@ -399,6 +407,14 @@ impl Input {
         }
     }
 
+    /// What was wrong with the frames of a video, in sentences.
+    pub fn faults(&self) -> Vec<String> {
+        match &self.images {
+            Images::Video(video) => video.faults(),
+            Images::Files(_) | Images::Rendered(_) => Vec::new(),
+        }
+    }
+
     /// What kind of source it is, for people.
     pub fn layout(&self) -> &str {
         match &self.images {
@@ -485,16 +501,43 @@ fn first_image(frames: &[FrameEntry], reading: &Reading) -> Result<GrayImage, Fa
     Err(Failure::Input(anyhow::Error::from(error).context(said)))
 }
 
+/// The inertial sensor beside the camera, or why it is left out: of a recording its topic, unless a
+/// file is named.
+fn readings(
+    raw: &RawInput,
+    args: &SourceArgs,
+    body_from_camera: Option<Se3>,
+) -> Result<(Option<Inertial>, Option<String>), Failure> {
+    let is_file = args.imu.as_deref().is_some_and(Path::is_file);
+    if let Images::Video(video) = &raw.images
+        && is_recording(&video.path)
+        && !is_file
+    {
+        let readings = Inertial::of_recording(args, &video.path, body_from_camera)?;
+        return Ok(match readings {
+            Ok(inertial) => (inertial, None),
+            Err(reason) => (None, Some(reason)),
+        });
+    }
+    let inertial = Inertial::open(args, raw.dataset(), body_from_camera)?;
+    Ok((inertial, None))
+}
+
 /// The calibration that was recorded with the images.
-fn recorded_calibration(video: &VideoSource) -> Option<Calibration> {
-    Some(Calibration {
-        camera: video.camera?,
+fn recorded_calibration(video: &VideoSource) -> Result<Option<Calibration>, Failure> {
+    let recorded = video.recorded.as_ref().map_err(|error| {
+        Failure::input(format!(
+            "{error}; give another calibration with --calibration FILE, or the horizontal field of view with --fov DEG"
+        ))
+    })?;
+    Ok(recorded.map(|camera| Calibration {
+        camera,
         body_from_camera: None,
         readout_ms: None,
         format: "CameraInfo of the recording",
         notes: Vec::new(),
         path: video.path.clone(),
-    })
+    }))
 }
 
 /// A camera and where it comes from.
@@ -598,6 +641,25 @@ fn scale_to(calibration: &mut Calibration, (width, height): (usize, usize)) -> R
         "{said}: it was scaled, which is right if the images were made smaller or larger and nothing was cut off"
     ));
     Ok(())
+}
+
+/// Brings a calibration of images as they are stored, whose pixels are not square, to the images
+/// that are used; a note says so.
+fn make_square(calibration: &mut Calibration, video: &VideoSource) {
+    let camera = &mut calibration.camera;
+    let (stored_width, stored_height) = video.stored_size;
+    let (width, height) = video.size;
+    if (camera.width, camera.height) != video.stored_size || video.stored_size == video.size {
+        return;
+    }
+    let factor_x = width as f64 / stored_width as f64;
+    let factor_y = height as f64 / stored_height as f64;
+    camera.pinhole = camera.pinhole.scaled(factor_x, factor_y);
+    (camera.width, camera.height) = video.size;
+    calibration.notes.push(format!(
+        "calibration {} is for the images as they are stored, {stored_width}x{stored_height}: it was stretched with them",
+        calibration.path.display()
+    ));
 }
 
 fn user_mask(

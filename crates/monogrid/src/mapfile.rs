@@ -40,6 +40,13 @@ pub fn load(path: &Path) -> Result<(OccupancyMap, MapFormat), Failure> {
         };
         Failure::Input(anyhow::Error::from(error).context(context))
     })?;
+    let endless = read.0.endless_free();
+    if endless > 0 {
+        eprintln!(
+            "warning: map {}: {endless} cubes of free space of 2048 cells and more along an edge are left out: they are unknown here",
+            path.display()
+        );
+    }
     let bricks = read.0.brick_counts().1 as u64;
     if !is_trusted && bricks > max_bricks(bytes) {
         return Err(Failure::input(format!(

@@ -2,9 +2,10 @@
 
 use crate::args::SourceArgs;
 use crate::failure::{Classify, Failure};
+use monogrid_bags::Bag;
 use monogrid_datasets::{Dataset, ImuFile, read_transform};
 use monogrid_geometry::Se3;
-use monogrid_inertial::{Imu, ImuSample};
+use monogrid_inertial::{Imu, ImuNoise, ImuSample};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -56,30 +57,85 @@ impl Inertial {
             return Ok(None);
         };
         let file = ImuFile::read(path).bad_input()?;
-        let (imu_from_camera, said) = match &args.imu_from_camera {
-            Some(path) => (
-                read_transform(path).bad_input()?,
-                format!("mounted as {} says", path.display()),
-            ),
+        let mount = match given_mount(args)? {
+            Some(mount) => mount,
             None => mounted(file.body_from_imu, body_from_camera),
         };
+        let interpretation = file.interpretation.clone();
+        Ok(Some(Self::of(
+            (file.path, interpretation),
+            &file.samples,
+            file.noise,
+            mount,
+            args,
+        )))
+    }
+
+    /// The readings of a recording that belong to a topic of its images; or why they are left out,
+    /// where there are some that cannot be used.
+    pub fn of_recording(
+        args: &SourceArgs,
+        recording: &Path,
+        body_from_camera: Option<Se3>,
+    ) -> Result<Result<Option<Self>, String>, Failure> {
+        let named = args.imu.as_deref().map(|name| name.to_string_lossy());
+        if named.as_deref() == Some("none") {
+            return Ok(Ok(None));
+        }
+        let bag = Bag::open(recording).bad_input()?;
+        let images = bag.image_topic(args.topic.as_deref()).bad_input()?;
+        let Some(readings) = bag.readings(images, named.as_deref()).bad_input()? else {
+            return Ok(Ok(None));
+        };
+        let [sensor, camera] = &readings.frames;
+        let mount = match (given_mount(args)?, readings.imu_from_camera) {
+            (Some(mount), _) => mount,
+            (None, Some(imu_from_camera)) => {
+                let said = format!("mounted as /tf_static says ({sensor} and {camera})");
+                (imu_from_camera, said)
+            }
+            // which is in the body, and the sensor is the body
+            (None, None) if body_from_camera.is_some() || named.is_some() => {
+                mounted(None, body_from_camera)
+            }
+            (None, None) => {
+                return Ok(Err(format!(
+                    "inertial readings of {} are left out: nothing says how the camera is mounted on the sensor (there are no \
+                     transforms in /tf_static between {sensor:?} and {camera:?}); give --imu-from-camera FILE",
+                    readings.topic
+                )));
+            }
+        };
+        let interpretation = format!("topic {}", readings.topic);
+        let of = (recording.to_owned(), interpretation);
+        Ok(Ok(Some(Self::of(of, &readings.samples, None, mount, args))))
+    }
+
+    /// Readings on the clock of the images, of a sensor on which the camera is mounted like this.
+    fn of(
+        (path, interpretation): (PathBuf, String),
+        samples: &[ImuSample],
+        noise: Option<ImuNoise>,
+        (imu_from_camera, said): (Se3, String),
+        args: &SourceArgs,
+    ) -> Self {
         let offset_ns = (args.imu_time_offset.unwrap_or(0.0) * 1e6).round() as i64;
-        let samples = file.samples.iter().map(|sample| ImuSample {
+        let samples = samples.iter().map(|sample| ImuSample {
             timestamp_ns: sample.timestamp_ns.saturating_add(offset_ns),
             ..*sample
         });
-        let noise = file.noise.unwrap_or_default();
-        let imu = Imu::new(samples.collect(), noise, imu_from_camera);
-        let noise = match file.noise {
+        let noise_said = match noise {
             Some(_) => "noise as sensor.yaml says",
             None => "noise of a phone's sensor",
         };
-        Ok(Some(Self {
+        let noise = noise.unwrap_or_default();
+        let imu = Imu::new(samples.collect(), noise, imu_from_camera);
+        Self {
             facts: ImuFacts::of(imu.samples()),
-            interpretation: format!("{}; {noise}; {said}", file.interpretation),
+            interpretation: format!("{interpretation}; {noise_said}; {said}"),
             imu: Arc::new(imu),
-            path: file.path,
-        }))
+            path,
+        }
     }
 
     /// What would make it less useful, in sentences.
@@ -100,6 +156,15 @@ impl Inertial {
         ];
         findings.into_iter().flatten().collect()
     }
+}
+
+/// Where the camera sits on the sensor, where that was given.
+fn given_mount(args: &SourceArgs) -> Result<Option<(Se3, String)>, Failure> {
+    let Some(path) = &args.imu_from_camera else {
+        return Ok(None);
+    };
+    let pose = read_transform(path).bad_input()?;
+    Ok(Some((pose, format!("mounted as {} says", path.display()))))
 }
 
 /// Where the camera sits on the sensor, by the files of both.

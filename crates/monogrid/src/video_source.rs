@@ -3,15 +3,15 @@
 use crate::args::SourceArgs;
 use crate::failure::Failure;
 use crate::frame_colours::FrameColours;
-use monogrid_geometry::{Camera, ReadoutDirection};
+use monogrid_geometry::ReadoutDirection;
 use monogrid_image::GrayImage;
 use monogrid_pipeline::Unusable;
-use monogrid_video::{Patience, Video, VideoError, is_pipe, is_recording};
+use monogrid_video::{Patience, Recorded, Video, VideoError, is_pipe, is_recording, is_video_file};
 use std::ffi::OsStr;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 /// A video that is read from its beginning, or a stream that is read once.
 #[derive(Debug)]
@@ -20,12 +20,18 @@ pub struct VideoSource {
     pub path: PathBuf,
     /// The topic of a recording.
     topic: Option<String>,
-    /// The camera, where a recording says it.
-    pub camera: Option<Camera>,
+    /// The camera that a recording says, or why it cannot be used.
+    pub recorded: Recorded,
     /// For people.
     pub description: String,
     /// Width and height of the first frame, px.
     pub size: (usize, usize),
+    /// As it is stored, where its pixels are not square: a calibration may be for this size.
+    pub stored_size: (usize, usize),
+    /// How it was understood, in sentences.
+    pub notes: Vec<String>,
+    /// Frames of the longest reading, and what was wrong with them, in sentences.
+    faults: Mutex<(usize, Vec<String>)>,
     /// Which way over its images a rolling shutter runs.
     pub direction: ReadoutDirection,
     /// Frames to use, where that is known.
@@ -47,12 +53,13 @@ pub struct VideoSource {
 pub type VideoItem = (usize, i64, Result<GrayImage, Unusable>);
 
 /// Endings of files that are no videos: they have readers of their own, or none.
-const NO_VIDEOS: [&str; 14] = [
-    "txt", "zip", "tar", "gz", "tgz", "mgk", "ot", "bt", "mgo", "ply", "toml", "yaml", "json",
-    "csv",
+const NO_VIDEOS: [&str; 15] = [
+    "txt", "zip", "tar", "gz", "tgz", "mgk", "ot", "bt", "mgo", "ply", "pcd", "toml", "yaml",
+    "json", "csv",
 ];
 
-/// Whether a source is a video, a camera or a stream; everything else is images.
+/// Whether a source is a video, a camera or a stream, files by their content; everything else is
+/// images.
 pub fn is_video(source: &Path) -> bool {
     let name = source.to_string_lossy();
     if name == "-" || name.contains("://") || name.starts_with("/dev/video") {
@@ -62,8 +69,11 @@ pub fn is_video(source: &Path) -> bool {
         let ending = ending.to_string_lossy().to_lowercase();
         !NO_VIDEOS.contains(&ending.as_str())
     };
-    let is_file = source.is_file() && source.extension().is_some_and(may_be_video);
-    is_file || is_pipe(source) || source.is_dir() && is_recording(source)
+    if is_pipe(source) || is_video_file(source) || is_recording(source) {
+        return true;
+    }
+    // formats that only ffmpeg knows
+    source.is_file() && source.extension().is_some_and(may_be_video)
 }
 
 /// Refuses a topic of what has none.
@@ -82,11 +92,11 @@ fn open_source(
     path: &Path,
     topic: Option<&str>,
     patience: Patience,
-) -> Result<(Video, Option<Camera>), VideoError> {
+) -> Result<(Video, Recorded), VideoError> {
     if is_recording(path) {
         return Video::open_recording(path, topic, patience);
     }
-    Ok((Video::open_within(path, patience)?, None))
+    Ok((Video::open_within(path, patience)?, Ok(None)))
 }
 
 /// A source that cannot be opened is bad input, unless it may be better the next time.
@@ -109,7 +119,7 @@ impl VideoSource {
         let topic = args.topic.clone();
         let patience = args.patience(path);
         let opened = open_source(path, topic.as_deref(), patience);
-        let (video, camera) = opened.map_err(not_opened)?;
+        let (video, recorded) = opened.map_err(not_opened)?;
         let length = video.length();
         if length.is_some_and(|length| start >= length) {
             return Err(Failure::input(format!(
@@ -122,9 +132,12 @@ impl VideoSource {
         Ok(Self {
             path: path.to_path_buf(),
             topic,
-            camera,
+            recorded,
             description: video.description().to_owned(),
             size: video.size(),
+            stored_size: video.stored_size(),
+            notes: video.notes().to_vec(),
+            faults: Mutex::default(),
             direction: video.readout_direction(),
             expected_frames: left.map(|left| left.min(max_frames.unwrap_or(left))),
             start,
@@ -149,6 +162,12 @@ impl VideoSource {
         if name.is_empty() { "video" } else { name }.to_owned()
     }
 
+    /// What was wrong with the frames of the longest reading, in sentences.
+    pub fn faults(&self) -> Vec<String> {
+        let faults = self.faults.lock();
+        faults.unwrap_or_else(PoisonError::into_inner).1.clone()
+    }
+
     /// The frames to use, in order; their colours go to `colours`. A stream has them only once.
     pub fn frames<'a>(
         &'a self,
@@ -169,10 +188,17 @@ impl VideoSource {
             Err(VideoError::Interrupted { .. }) => return Box::new(std::iter::empty()),
             Err(error) => return broken_off(self.start, error),
         };
+        let mut num_read = 0;
         let items = std::iter::from_fn(move || {
             let item = video.next();
             let cpu_ns = video.cpu().as_nanos() as u64;
             self.cpu_ns.store(cpu_ns, Ordering::Relaxed);
+            num_read += usize::from(item.is_some());
+            let faults = self.faults.lock();
+            let mut faults = faults.unwrap_or_else(PoisonError::into_inner);
+            if num_read >= faults.0 {
+                *faults = (num_read, video.faults());
+            }
             item
         });
         // the end is said also where it does not come at a frame to use

@@ -116,7 +116,16 @@ fn a_point_cloud_gives_the_same_truth_as_the_mesh_it_samples() {
         "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n",
         points.len()
     );
-    let cloud = folder.write("box.ply", &(header + &points.join("\n") + "\n"));
+    let rows = points.join("\n");
+    let cloud = folder.write("box.ply", &(header.clone() + &rows + "\n"));
+    // with a point that has no place, which is left out; and the same as PCL writes it
+    let with_hole = header.replace(&points.len().to_string(), &(points.len() + 1).to_string());
+    let with_hole = folder.write("hole.ply", &format!("{with_hole}nan 0 0\n{rows}\n"));
+    let pcd = format!(
+        "FIELDS x y z\nWIDTH {}\nHEIGHT 1\nDATA ascii\n{rows}\n",
+        points.len()
+    );
+    let pcd = folder.write("box.pcd", &pcd);
     let mesh = folder.write("box.obj", BOX_OBJ);
     let poses = folder.write("poses.txt", INSIDE);
     let make = |source: &str, out: &str| {
@@ -133,10 +142,19 @@ fn a_point_cloud_gives_the_same_truth_as_the_mesh_it_samples() {
     };
     make(&cloud, &folder.path("cloud.ot"));
     make(&mesh, &folder.path("mesh.ot"));
-    assert_eq!(
-        fs::read(folder.path("cloud.ot")).unwrap(),
-        fs::read(folder.path("mesh.ot")).unwrap()
+    let report = make(&with_hole, &folder.path("hole.ot"));
+    assert!(
+        report["warnings"].to_string().contains("1 points"),
+        "{report}"
     );
+    make(&pcd, &folder.path("pcd.ot"));
+    for other in ["mesh.ot", "hole.ot", "pcd.ot"] {
+        assert_eq!(
+            fs::read(folder.path("cloud.ot")).unwrap(),
+            fs::read(folder.path(other)).unwrap(),
+            "{other}"
+        );
+    }
 }
 
 #[test]

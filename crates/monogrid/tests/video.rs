@@ -6,11 +6,15 @@ mod common;
 use common::{
     WITHOUT_DENSE_DEPTH, assert_fails, code, json, monogrid, program, small_sequence, stderr,
 };
+use monogrid_bags::McapWriter;
 use monogrid_datasets::{
     ReadOptions, RecordedKeyframe, Recording, decode_jpeg_rgb, encode_png, encode_png_rgb,
     read_gray,
 };
 use monogrid_image::Image;
+use monogrid_messages::builtin_interfaces::Time;
+use monogrid_messages::sensor_msgs::{CameraInfo, CompressedImage};
+use monogrid_messages::std_msgs::Header;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
@@ -242,6 +246,54 @@ fn what_check_says_of_a_video() {
     assert!((fov - 60.0).abs() < 0.5, "{fov}");
 }
 
+/// The test pattern with pixels of this shape, under another name.
+fn anamorphic(folder: &Path, [width, height]: [u32; 2]) -> PathBuf {
+    let mut bytes = fs::read(small("reordered.mp4")).unwrap();
+    let at = bytes.windows(4).position(|kind| kind == b"pasp").unwrap();
+    bytes[at + 4..at + 8].copy_from_slice(&width.to_be_bytes());
+    bytes[at + 8..at + 12].copy_from_slice(&height.to_be_bytes());
+    let path = folder.join("recording");
+    fs::write(&path, bytes).unwrap();
+    path
+}
+
+#[test]
+fn pixels_that_are_not_square_are_said_and_calibrations_of_both_sizes_fit() {
+    let dir = tempfile::tempdir().unwrap();
+    let video = anamorphic(dir.path(), [3, 4]).display().to_string();
+    let output = monogrid(["check", &video, "--fov", "60", "--json"]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let report = json(&output);
+    assert_eq!(
+        (&report["frames"], &report["layout"]),
+        (&30.into(), &"MP4, H.264".into())
+    );
+    assert_eq!(report["image_size"], serde_json::json!([64, 64]));
+    assert!(
+        report["warnings"].to_string().contains("not square (3:4)"),
+        "{report}"
+    );
+    // a stored row is three quarters as high as a pixel is wide
+    let calibration = |line: &str| {
+        let file = dir.path().join("calibration.txt");
+        fs::write(&file, line).unwrap();
+        let file = file.display().to_string();
+        let output = monogrid(["check", &video, "--calibration", &file, "--json"]);
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        let report = json(&output);
+        let said = report["warnings"].to_string();
+        (
+            report["calibration"].to_string(),
+            said.contains("stretched with them"),
+        )
+    };
+    let (stored, is_stretched) = calibration("60 45 31.5 23.5 64 48");
+    assert!(is_stretched);
+    let (square, is_stretched) = calibration("60 60 31.5 31.5 64 64");
+    assert!(!is_stretched);
+    assert_eq!(stored, square);
+}
+
 #[test]
 fn a_stream_on_standard_input() {
     let mut stream = b"YUV4MPEG2 W64 H48 F25:1 Cmono\n".to_vec();
@@ -320,6 +372,67 @@ fn the_list_of_cameras_may_be_empty() {
 fn recording(name: &str) -> PathBuf {
     let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../monogrid-bags/tests/data");
     Path::new(folder).join(name)
+}
+
+/// Images with the calibration of a camera that nobody can undo, and times of a clock that is set
+/// back.
+fn write_awkward(path: &Path) {
+    let mut writer = McapWriter::new(fs::File::create(path).unwrap(), "a test").unwrap();
+    for k in 0..20_i64 {
+        let time_ns = if k < 7 { 9_000_000_000 } else { 100_000_000 } + k * 50_000_000;
+        let header = Header {
+            stamp: Time::from_nanoseconds(time_ns),
+            frame_id: "camera".to_owned(),
+        };
+        let info = CameraInfo {
+            header: header.clone(),
+            width: 64,
+            height: 48,
+            distortion_model: "rational_polynomial".to_owned(),
+            d: vec![0.1, 0.2, 0.0, 0.0, 0.1, 0.3, 0.2, 0.1, 0.4, 0.1, 0.1, 0.1],
+            k: [50.0, 0.0, 31.5, 0.0, 50.0, 23.5, 0.0, 0.0, 1.0],
+            ..CameraInfo::default()
+        };
+        writer.write("/camera/camera_info", k, &info).unwrap();
+        let image = Image::from_fn(64, 48, |x, y| (3 * x + 5 * y + k as usize) as u8);
+        let message = CompressedImage {
+            header,
+            format: "png".to_owned(),
+            data: encode_png(&image),
+        };
+        writer.write("/camera/image", k, &message).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+#[test]
+fn what_a_recording_says_of_its_camera_can_be_replaced() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("awkward");
+    write_awkward(&path);
+    let bag = path.display().to_string();
+    let refused = monogrid(["check", &bag]);
+    assert_fails(
+        &refused,
+        2,
+        &["rational_polynomial", "--calibration FILE", "--fov DEG"],
+    );
+    let file = dir.path().join("calibration.txt");
+    fs::write(&file, "50 50 31.5 23.5 64 48").unwrap();
+    let file = file.display().to_string();
+    for option in [["--fov", "60"], ["--calibration", &file]] {
+        let output = monogrid(["check", &bag, option[0], option[1], "--json"]);
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        let report = json(&output);
+        assert_eq!(report["frames"], 20, "{report}");
+        // the clock that was set back goes on, and that is said
+        assert!(
+            report["warnings"].to_string().contains("set back 1 times"),
+            "{report}"
+        );
+        let rate = report["frames_per_second"].as_f64().unwrap();
+        assert!((rate - 20.0).abs() < 0.01, "{rate}");
+    }
 }
 
 #[test]

@@ -373,7 +373,10 @@ impl OccupancyMap {
         low: f64,
         high: f64,
     ) -> PyResult<(Array2<'py, i8>, [f64; 2])> {
-        let Some(seen) = py.detach(|| self.map.projected(low, high)) else {
+        let seen = py
+            .detach(|| self.map.projected(low, high))
+            .map_err(of_map)?;
+        let Some(seen) = seen else {
             return Ok((Vec::<i8>::new().into_pyarray(py).reshape([0, 0])?, [0.0; 2]));
         };
         let states: Vec<i8> = seen.columns.iter().map(|state| code(*state)).collect();

@@ -44,11 +44,11 @@ impl Shown {
     /// A map whose lengths are in units.
     ///
     /// # Errors
-    /// A scale that makes cells of no size.
+    /// A scale that makes cells of no size, or a map that is too large to be seen from above.
     pub fn new(map: &OccupancyMap, seen: &Seen) -> Result<Self, MapError> {
         let map = map.rescaled(seen.metres_per_unit)?;
         let band = band_in_map(&map, seen);
-        let grid = map.projected(band[0], band[1]);
+        let grid = map.projected(band[0], band[1])?;
         let camera = seen.path.last();
         Ok(Self {
             stamp: seen.stamp,

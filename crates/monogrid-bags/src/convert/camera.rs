@@ -14,7 +14,7 @@ pub enum InfoError {
     /// A distortion that cannot be undone here.
     #[error(
         "distortion model {model:?} with {count} parameters is not supported; there are plumb_bob (4 or 5), \
-         equidistant (4), rational_polynomial whose last three are 0, and rectified images (--rectified)"
+         equidistant (4), rational_polynomial whose parameters from the sixth on are 0, and topics of rectified images"
     )]
     Distortion {
         /// What it is called.
@@ -60,24 +60,39 @@ pub fn camera_of(info: &CameraInfo, is_rectified: bool) -> Result<Camera, InfoEr
 }
 
 fn distortion_of(info: &CameraInfo) -> Result<Distortion, InfoError> {
-    let radial_tangential =
-        |k1, k2, p1, p2, k3| Distortion::RadialTangential { k1, k2, p1, p2, k3 };
-    match (info.distortion_model.as_str(), info.d.as_slice()) {
-        (_, d) if d.iter().all(|value| *value == 0.0) && info.distortion_model != "equidistant" => {
-            Ok(Distortion::None)
+    let model = info.distortion_model.as_str();
+    // drivers fill up with zeros: thin prisms and a numerator that are not there
+    let num_used = info
+        .d
+        .iter()
+        .rposition(|value| *value != 0.0)
+        .map_or(0, |last| last + 1);
+    let term = |k: usize| info.d.get(k).copied().unwrap_or(0.0);
+    match model {
+        "equidistant" | "fisheye" if info.d.len() >= 4 && num_used <= 4 => {
+            Ok(Distortion::Equidistant {
+                k: [0, 1, 2, 3].map(term),
+            })
         }
-        ("plumb_bob", &[k1, k2, p1, p2]) => Ok(radial_tangential(k1, k2, p1, p2, 0.0)),
-        ("plumb_bob", &[k1, k2, p1, p2, k3])
-        | ("rational_polynomial", &[k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]) => {
-            Ok(radial_tangential(k1, k2, p1, p2, k3))
+        "equidistant" => Err(unsupported(info)),
+        _ if num_used == 0 => Ok(Distortion::None),
+        "plumb_bob" | "rational_polynomial" if num_used <= 5 && info.d.len() >= 4 => {
+            Ok(Distortion::RadialTangential {
+                k1: term(0),
+                k2: term(1),
+                p1: term(2),
+                p2: term(3),
+                k3: term(4),
+            })
         }
-        ("equidistant" | "fisheye", &[k1, k2, k3, k4]) => Ok(Distortion::Equidistant {
-            k: [k1, k2, k3, k4],
-        }),
-        (model, d) => Err(InfoError::Distortion {
-            model: model.to_owned(),
-            count: d.len(),
-        }),
+        _ => Err(unsupported(info)),
+    }
+}
+
+fn unsupported(info: &CameraInfo) -> InfoError {
+    InfoError::Distortion {
+        model: info.distortion_model.clone(),
+        count: info.d.len(),
     }
 }
 
@@ -133,6 +148,14 @@ mod tests {
         let rational = [0.1, 0.2, 0.3, 0.4, 0.5, 0.0, 0.0, 0.0];
         let camera = camera_of(&info("rational_polynomial", &rational), false).unwrap();
         assert_eq!(camera.distortion, plumb_bob);
+        // as cameras of Azure, Orbbec and OpenCV fill them up
+        for model in ["plumb_bob", "rational_polynomial"] {
+            for num_zeros in [3, 7, 9] {
+                let filled = [&rational[..5], &vec![0.0; num_zeros]].concat();
+                let camera = camera_of(&info(model, &filled), false).unwrap();
+                assert_eq!(camera.distortion, plumb_bob, "{model}, {num_zeros}");
+            }
+        }
         let fisheye = camera_of(&info("equidistant", &[0.1, 0.2, 0.3, 0.4]), false).unwrap();
         let k = [0.1, 0.2, 0.3, 0.4];
         assert_eq!(fisheye.distortion, Distortion::Equidistant { k });

@@ -30,6 +30,14 @@ pub enum ImageError {
         /// All bytes.
         bytes: usize,
     },
+    /// Depth, by what it says of itself.
+    #[error(
+        "images in the format {format:?} are depth (compressedDepth), expected pictures; name another topic with --topic NAME"
+    )]
+    Depth {
+        /// What it says.
+        format: String,
+    },
     /// A compressed image that cannot be decoded.
     #[error("{0}")]
     Compressed(#[from] monogrid_datasets::DatasetError),
@@ -85,12 +93,30 @@ pub fn gray_image(image: &Image) -> Result<GrayImage, ImageError> {
     }
 }
 
-/// The grey image, 0 to 255, of a JPEG or PNG file.
+/// The grey image, 0 to 255, of a JPEG or PNG file, where it is the mosaic of a sensor resolved.
 ///
 /// # Errors
-/// A file that cannot be decoded, or not completely.
+/// A file that cannot be decoded, or not completely, and depth.
 pub fn gray_of_compressed(image: &CompressedImage) -> Result<GrayImage, ImageError> {
-    Ok(decode_gray(&image.data, Path::new("the compressed image"))?)
+    if image.format.contains("compressedDepth") {
+        return Err(ImageError::Depth {
+            format: image.format.clone(),
+        });
+    }
+    let grey = decode_gray(&image.data, Path::new("the compressed image"))?;
+    Ok(match is_mosaic(&image.format) {
+        true => without_mosaic(&grey),
+        false => grey,
+    })
+}
+
+/// Whether a file holds a mosaic as it was: image_transport says the encoding of the image, then
+/// that of what it has compressed, as in `bayer_rggb8; jpeg compressed bgr8`; it leaves the latter
+/// out where they are the same.
+fn is_mosaic(format: &str) -> bool {
+    let (from, packed) = format.split_once(';').unwrap_or((format, ""));
+    let compressed = packed.split("compressed").nth(1).unwrap_or_default().trim();
+    from.trim().starts_with("bayer_") && (compressed.is_empty() || compressed.starts_with("bayer_"))
 }
 
 /// The grey values of pixels of so many bytes.
@@ -203,6 +229,51 @@ mod tests {
             let message = image(encoding, 4, 4, &rows);
             assert!(grey(&message).iter().all(|value| *value == 80.0));
         }
+    }
+
+    #[test]
+    fn a_file_of_a_mosaic_is_resolved_where_it_says_so() {
+        let rows = [40, 80, 40, 80, 80, 120, 80, 120].repeat(2);
+        let file = monogrid_datasets::encode_png(
+            &monogrid_image::Image::from_vec(4, 4, rows.clone()).unwrap(),
+        );
+        let grey = |format: &str| {
+            let message = CompressedImage {
+                format: format.into(),
+                data: file.clone(),
+                ..CompressedImage::default()
+            };
+            gray_of_compressed(&message).unwrap().as_slice().to_vec()
+        };
+        for mosaic in [
+            "bayer_rggb8; jpeg compressed ",
+            "bayer_rggb8;png compressed bayer_rggb8",
+            "bayer_gbrg8",
+        ] {
+            assert!(grey(mosaic).iter().all(|value| *value == 80.0), "{mosaic}");
+        }
+        for resolved in [
+            "bayer_rggb8; jpeg compressed bgr8",
+            "mono8; jpeg compressed ",
+            "jpeg",
+        ] {
+            let expected: Vec<f32> = rows.iter().map(|v| f32::from(*v)).collect();
+            assert_eq!(grey(resolved), expected, "{resolved}");
+        }
+    }
+
+    #[test]
+    fn compressed_depth_is_named() {
+        let depth = CompressedImage {
+            format: "16UC1; compressedDepth png".into(),
+            data: vec![0; 12],
+            ..CompressedImage::default()
+        };
+        let error = gray_of_compressed(&depth).unwrap_err().to_string();
+        assert!(
+            error.contains("depth") && error.contains("--topic"),
+            "{error}"
+        );
     }
 
     #[test]

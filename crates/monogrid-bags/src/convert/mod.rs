@@ -4,10 +4,12 @@ mod camera;
 mod cloud;
 mod grid;
 mod image;
+mod inertial;
 mod pose;
 
 pub use camera::{InfoError, camera_of, info_of};
 pub use cloud::{BYTES_PER_NUMBER, cloud_of, packed, points_of_cells};
 pub use grid::grid_of;
 pub use image::{ImageError, gray_image, gray_of_compressed};
-pub use pose::{odometry_of, path_of, pose_of, transform_of};
+pub use inertial::imu_sample_of;
+pub use pose::{odometry_of, path_of, pose_of, pose_of_transform, transform_of};

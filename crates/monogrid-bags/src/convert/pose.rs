@@ -1,6 +1,7 @@
 //! Poses.
 
-use monogrid_geometry::{Se3, Vec3, rotation_log};
+use monogrid_geometry::nalgebra::Quaternion as Quaternion4;
+use monogrid_geometry::{Rotation, Se3, Vec3, rotation_log};
 use monogrid_messages::builtin_interfaces::Time;
 use monogrid_messages::geometry_msgs::{
     Covariance, Pose, PoseStamped, PoseWithCovariance, Quaternion, Transform, TransformStamped,
@@ -29,6 +30,17 @@ pub fn transform_of(header: Header, child: &str, parent_from_child: &Se3) -> Tra
             rotation: quaternion_of(parent_from_child),
         },
     }
+}
+
+/// parent_from_child of a transform, m; `None` where its numbers are no pose.
+#[must_use]
+pub fn pose_of_transform(transform: &Transform) -> Option<Se3> {
+    let Vector3 { x, y, z } = transform.translation;
+    let rotation = &transform.rotation;
+    let quaternion = Quaternion4::new(rotation.w, rotation.x, rotation.y, rotation.z);
+    let norm = quaternion.norm();
+    let pose = Se3::new(Rotation::new_normalize(quaternion), Vec3::new(x, y, z));
+    (norm > 0.5 && norm < 2.0 && pose.is_finite()).then_some(pose)
 }
 
 /// Poses in the frame of the header, m, with their times.
@@ -111,8 +123,34 @@ fn quaternion_of(pose: &Se3) -> Quaternion {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use monogrid_geometry::{Rotation, rotation_exp};
+    use monogrid_geometry::rotation_exp;
     use std::f64::consts::FRAC_PI_2;
+
+    #[test]
+    fn a_transform_comes_back_and_what_is_none_does_not() {
+        let pose = Se3::new(
+            rotation_exp(&Vec3::new(0.1, -0.2, 0.3)),
+            Vec3::new(1.0, 2.0, 3.0),
+        );
+        let mut transform = transform_of(Header::default(), "camera", &pose).transform;
+        let back = pose_of_transform(&transform).unwrap();
+        assert!((back.translation - pose.translation).norm() < 1e-12);
+        assert!(back.rotation.angle_to(&pose.rotation) < 1e-12);
+        transform.translation.x = f64::NAN;
+        assert!(pose_of_transform(&transform).is_none());
+        assert!(
+            pose_of_transform(&Transform {
+                rotation: Quaternion {
+                    x: 0.0,
+                    y: 0.0,
+                    z: 0.0,
+                    w: 0.0
+                },
+                ..Transform::default()
+            })
+            .is_none()
+        );
+    }
 
     #[test]
     fn a_quarter_turn_around_z() {

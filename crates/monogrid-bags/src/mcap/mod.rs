@@ -7,7 +7,7 @@ mod record;
 mod summary;
 mod write;
 
-pub use read::messages;
+pub use read::{messages, topics};
 pub use write::McapWriter;
 
 /// What a file begins and ends with.

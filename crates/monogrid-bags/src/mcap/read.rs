@@ -1,57 +1,194 @@
-//! Messages of MCAP files, from the beginning to the footer. Indexes are not needed for that, and checksums not compared: of what is
-//! damaged, messages that can be read are given.
+//! Messages of MCAP files, from the beginning to the footer; topics from the summary behind it,
+//! where there is one. Checksums are compared: what comes before damage is given.
 
 use super::{MAGIC, op};
-use crate::bag::{Messages, TopicKind};
+use crate::bag::Messages;
 use crate::chunks::{Unpacker, block, in_chunks};
 use crate::error::BagError;
 use crate::fields::Fields;
 use crate::message::{Raw, Wire};
-use std::collections::{HashMap, VecDeque};
-use std::fs::File;
-use std::io::{self, BufReader, Read};
-use std::path::Path;
+use crate::part::{Input, Part};
+use crate::topic::{Indexed, Topic};
+use crc32fast::Hasher;
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::sync::Arc;
 
+/// Bytes of the record that ends a file, without its magic.
+const FOOTER_BYTES: u64 = 9 + 20;
+
+/// The topics of a file by its summary; `None` where it has none that can be used.
+pub fn topics(part: &Part) -> Result<Option<Vec<Indexed>>, BagError> {
+    let mut input = part.open()?;
+    Ok(summary(&mut input).ok().flatten())
+}
+
+fn summary(input: &mut Input) -> Result<Option<Vec<Indexed>>, String> {
+    let end = input.length().map_err(cut)?;
+    let end = end.saturating_sub(MAGIC.len() as u64);
+    let footer_start = end.saturating_sub(FOOTER_BYTES);
+    input.seek(SeekFrom::Start(footer_start)).map_err(cut)?;
+    let footer = block(input, end - footer_start)?;
+    let mut fields = Fields(&footer);
+    let Some((op::FOOTER, mut body)) = record_of(&mut fields).map(|(o, b)| (o, Fields(b))) else {
+        return Ok(None);
+    };
+    let (Some(start), Some(_), Some(crc)) = (body.u64(), body.u64(), body.u32()) else {
+        return Ok(None);
+    };
+    if start == 0 || start >= footer_start {
+        return Ok(None);
+    }
+    input.seek(SeekFrom::Start(start)).map_err(cut)?;
+    let records = block(input, footer_start - start)?;
+    let mut sum = Hasher::new();
+    sum.update(&records);
+    sum.update(&footer[..footer.len() - 4]);
+    if crc != 0 && crc != sum.finalize() {
+        return Ok(None);
+    }
+    let (mut declared, mut counts) = (Declared::default(), None);
+    let mut rest = Fields(&records);
+    while let Some((opcode, body)) = record_of(&mut rest) {
+        match opcode {
+            op::SCHEMA => declared.take_schema(Fields(body)),
+            op::CHANNEL => declared.take_channel(Fields(body)),
+            op::STATISTICS => {
+                counts = message_counts(Fields(body));
+                Some(())
+            }
+            _ => Some(()),
+        }
+        .ok_or_else(|| too_short(opcode))?;
+    }
+    Ok(declared.indexed(counts.as_ref()))
+}
+
+/// Messages by channel.
+fn message_counts(mut body: Fields) -> Option<BTreeMap<u16, u64>> {
+    // counts of messages, schemas, channels, attachments, metadata and chunks, then the first and
+    // the last time
+    body.slice(8 + 2 + 4 + 4 + 4 + 4 + 8 + 8)?;
+    let mut pairs = Fields(body.bytes()?);
+    let pairs = std::iter::from_fn(|| Some((pairs.u16()?, pairs.u64()?)));
+    Some(pairs.collect())
+}
+
 /// The messages of a file.
-pub fn messages(path: &Path) -> Result<Messages, BagError> {
-    let file = File::open(path).map_err(BagError::io(path))?;
+pub fn messages(part: &Part) -> Result<Messages, BagError> {
     let mut records = McapMessages {
-        file: BufReader::with_capacity(1 << 18, file),
-        schemas: HashMap::new(),
-        channels: HashMap::new(),
+        file: Summed::new(BufReader::with_capacity(1 << 18, part.open()?)),
+        declared: Declared::default(),
         unpacker: Unpacker::default(),
     };
     records
         .expect_magic()
-        .map_err(|reason| BagError::damaged(path, reason))?;
-    Ok(in_chunks(path, move |messages| records.read_on(messages)))
+        .map_err(|reason| BagError::damaged(&part.path, reason))?;
+    Ok(in_chunks(&part.path, move |messages| {
+        records.read_on(messages)
+    }))
 }
 
 struct Channel {
-    topic: Arc<str>,
-    kind: TopicKind,
+    topic: Arc<Topic>,
     wire: Option<Wire>,
 }
 
+/// What schemas and channels a file has declared.
+#[derive(Default)]
+struct Declared {
+    /// Types; only ever asked by number.
+    schemas: HashMap<u16, String>,
+    channels: BTreeMap<u16, Channel>,
+}
+
+impl Declared {
+    fn take_schema(&mut self, mut body: Fields) -> Option<()> {
+        let id = body.u16()?;
+        self.schemas.insert(id, body.text()?.to_owned());
+        Some(())
+    }
+
+    fn take_channel(&mut self, mut body: Fields) -> Option<()> {
+        let (id, schema) = (body.u16()?, body.u16()?);
+        let type_name = self.schemas.get(&schema).map_or("", String::as_str);
+        let channel = Channel {
+            topic: Arc::new(Topic::new(body.text()?, type_name)),
+            wire: Wire::of(body.text()?),
+        };
+        self.channels.insert(id, channel);
+        Some(())
+    }
+
+    fn indexed(&self, counts: Option<&BTreeMap<u16, u64>>) -> Option<Vec<Indexed>> {
+        let indexed = |(id, channel): (&u16, &Channel)| Indexed {
+            topic: Topic::clone(&channel.topic),
+            messages: counts.map(|counts| counts.get(id).copied().unwrap_or(0)),
+        };
+        let indexed: Vec<Indexed> = self.channels.iter().map(indexed).collect();
+        (!indexed.is_empty()).then_some(indexed)
+    }
+}
+
+/// Reads, and keeps the checksum of what was read.
+struct Summed<R> {
+    input: R,
+    sum: Hasher,
+}
+
+impl<R: Read> Summed<R> {
+    fn new(input: R) -> Self {
+        Self {
+            input,
+            sum: Hasher::new(),
+        }
+    }
+
+    /// Begins anew behind what was read.
+    fn restart(&mut self) {
+        self.sum = Hasher::new();
+    }
+}
+
+impl<R: Read> Read for Summed<R> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let read = self.input.read(bytes)?;
+        self.sum.update(&bytes[..read]);
+        Ok(read)
+    }
+}
+
 struct McapMessages {
-    file: BufReader<File>,
-    /// Kinds of types; only ever asked by number.
-    schemas: HashMap<u16, TopicKind>,
-    channels: HashMap<u16, Channel>,
+    file: Summed<BufReader<Input>>,
+    declared: Declared,
     unpacker: Unpacker,
 }
 
 impl McapMessages {
     /// Reads the next record and takes what it says; whether it was not the last one.
     fn read_on(&mut self, messages: &mut VecDeque<Raw>) -> Result<bool, String> {
+        let before = self.file.sum.clone();
         let mut head = [0; 9];
         self.file.read_exact(&mut head).map_err(cut)?;
         let [opcode, length @ ..] = head;
         let body = block(&mut self.file, u64::from_le_bytes(length))?;
         match opcode {
             op::CHUNK => self.take_chunk(Fields(&body), messages)?,
-            op::FOOTER => self.expect_magic()?,
+            op::DATA_END => {
+                let expected = Fields(&body).u32().ok_or_else(|| too_short(opcode))?;
+                compare("the part with the messages", before.finalize(), expected)?;
+                // that of the summary begins here
+                self.file.restart();
+            }
+            op::FOOTER => {
+                let (summed, crc) = body.split_at_checked(16).ok_or_else(|| too_short(opcode))?;
+                let expected = Fields(crc).u32().ok_or_else(|| too_short(opcode))?;
+                let mut sum = before;
+                sum.update(&head);
+                sum.update(summed);
+                compare("the summary", sum.finalize(), expected)?;
+                self.expect_magic()?;
+            }
             _ => self.take(opcode, Fields(&body), messages)?,
         }
         Ok(opcode != op::FOOTER)
@@ -69,8 +206,11 @@ impl McapMessages {
 
     /// Takes what the records of a chunk say.
     fn take_chunk(&mut self, chunk: Fields, messages: &mut VecDeque<Raw>) -> Result<(), String> {
-        let (compression, size, data) = chunk_of(chunk).ok_or_else(|| too_short(op::CHUNK))?;
-        let records = self.unpacker.unpacked(compression, data, size)?;
+        let chunk = chunk_of(chunk).ok_or_else(|| too_short(op::CHUNK))?;
+        let records = self
+            .unpacker
+            .unpacked(chunk.compression, chunk.data, chunk.size)?;
+        compare("a chunk", crc32fast::hash(&records), chunk.crc)?;
         let mut rest = Fields(&records);
         while !rest.0.is_empty() {
             let (opcode, body) = record_of(&mut rest).ok_or("a chunk ends within a record")?;
@@ -87,45 +227,21 @@ impl McapMessages {
         messages: &mut VecDeque<Raw>,
     ) -> Result<(), String> {
         let taken = match opcode {
-            op::SCHEMA => self.take_schema(body),
-            op::CHANNEL => self.take_channel(body),
+            op::SCHEMA => self.declared.take_schema(body),
+            op::CHANNEL => self.declared.take_channel(body),
             op::MESSAGE => return self.take_message(body, messages),
             _ => Some(()),
         };
         taken.ok_or_else(|| too_short(opcode))
     }
 
-    fn take_schema(&mut self, mut body: Fields) -> Option<()> {
-        let id = body.u16()?;
-        self.schemas.insert(id, TopicKind::of(body.text()?));
-        Some(())
-    }
-
-    fn take_channel(&mut self, mut body: Fields) -> Option<()> {
-        let (id, schema) = (body.u16()?, body.u16()?);
-        let kind = self.schemas.get(&schema).copied();
-        let channel = Channel {
-            topic: body.text()?.into(),
-            kind: kind.unwrap_or(TopicKind::Other),
-            wire: match body.text()? {
-                "cdr" => Some(Wire::Cdr),
-                "ros1" => Some(Wire::Ros1),
-                _ => None,
-            },
-        };
-        self.channels.insert(id, channel);
-        Some(())
-    }
-
     fn take_message(&mut self, body: Fields, messages: &mut VecDeque<Raw>) -> Result<(), String> {
         let (id, log_time, data) = message_of(body).ok_or_else(|| too_short(op::MESSAGE))?;
-        let channel = self.channels.get(&id);
+        let channel = self.declared.channels.get(&id);
         let channel =
             channel.ok_or_else(|| format!("a message of channel {id}, which was not declared"))?;
-        if let Some(wire) = channel.wire {
-            let log_ns = i64::try_from(log_time).unwrap_or(i64::MAX);
-            messages.push_back(Raw::new(&channel.topic, channel.kind, log_ns, wire, data));
-        }
+        let log_ns = i64::try_from(log_time).unwrap_or(i64::MAX);
+        messages.push_back(Raw::new(&channel.topic, log_ns, channel.wire, data));
         Ok(())
     }
 }
@@ -144,12 +260,35 @@ fn record_of<'a>(records: &mut Fields<'a>) -> Option<(u8, &'a [u8])> {
     Some((opcode, records.slice(length)?))
 }
 
-/// Compression of a chunk, bytes of its records without it, and what is there.
-fn chunk_of(mut chunk: Fields<'_>) -> Option<(&str, u64, &[u8])> {
+/// A chunk as it lies in the file.
+struct PackedChunk<'a> {
+    compression: &'a str,
+    /// Bytes of its records without compression, and their checksum; 0 where it was not computed.
+    size: u64,
+    crc: u32,
+    data: &'a [u8],
+}
+
+fn chunk_of(mut chunk: Fields<'_>) -> Option<PackedChunk<'_>> {
     let _times = (chunk.u64()?, chunk.u64()?);
-    let (size, _crc) = (chunk.u64()?, chunk.u32()?);
+    let (size, crc) = (chunk.u64()?, chunk.u32()?);
     let (compression, length) = (chunk.text()?, chunk.u64()?);
-    Some((compression, size, chunk.slice(length)?))
+    Some(PackedChunk {
+        compression,
+        size,
+        crc,
+        data: chunk.slice(length)?,
+    })
+}
+
+/// Compares checksums; one of 0 was not computed.
+fn compare(what: &str, found: u32, expected: u32) -> Result<(), String> {
+    if expected != 0 && found != expected {
+        return Err(format!(
+            "{what} is damaged: its checksum is {found:08x}, expected {expected:08x}"
+        ));
+    }
+    Ok(())
 }
 
 /// Channel of a message, when it was recorded (ns), and its bytes.
@@ -163,6 +302,8 @@ fn message_of(mut message: Fields<'_>) -> Option<(u16, u64, &[u8])> {
 mod tests {
     use super::super::record::Record;
     use super::*;
+    use crate::part::parts_of;
+    use crate::topic::TopicKind;
 
     const IMAGE: &str = "sensor_msgs/msg/Image";
 
@@ -201,7 +342,8 @@ mod tests {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), [MAGIC, records].concat()).unwrap();
         let (mut read, mut error) = (Vec::new(), None);
-        for message in messages(file.path()).unwrap() {
+        let part = parts_of(file.path()).unwrap().remove(0);
+        for message in messages(&part).unwrap() {
             match message {
                 Ok(message) => read.push(message),
                 Err(reason) => error = Some(reason.to_string()),
@@ -222,7 +364,7 @@ mod tests {
         records.push(chunk("", in_chunk.len() as u64, &in_chunk));
         records.push(Record::new(0x80).raw(&[9; 40]));
         records.extend([
-            channel(3, 1, "json"),
+            channel(3, 1, "cbor"),
             message(3, 6),
             message(1, 7),
             footer(),
@@ -231,14 +373,70 @@ mod tests {
         assert_eq!(error, None);
         let read = read
             .iter()
-            .map(|m| (m.log_ns, m.kind, m.wire, m.data.len()));
+            .map(|m| (m.log_ns, m.topic.kind, m.wire, m.data.len()));
         let expected = [
-            (5, TopicKind::Image, Wire::Cdr, 3),
+            (5, TopicKind::Image, Some(Wire::Cdr), 3),
             // of a schema that is not there
-            (i64::MAX, TopicKind::Other, Wire::Ros1, 0),
-            (7, TopicKind::Image, Wire::Cdr, 3),
+            (i64::MAX, TopicKind::Other, Some(Wire::Ros1), 0),
+            // written as nobody knows
+            (6, TopicKind::Image, None, 0),
+            (7, TopicKind::Image, Some(Wire::Cdr), 3),
         ];
         assert_eq!(read.collect::<Vec<_>>(), expected);
+    }
+
+    #[test]
+    fn checksums_are_compared_where_they_were_computed() {
+        let records = bytes(vec![message(1, 6)]);
+        let chunk = |crc: u32| {
+            let record = Record::new(op::CHUNK)
+                .u64(0)
+                .u64(0)
+                .u64(records.len() as u64);
+            record
+                .u32(crc)
+                .text("")
+                .u64(records.len() as u64)
+                .raw(&records)
+        };
+        let right = crc32fast::hash(&records);
+        let data = |crc| [bytes(start()), bytes(vec![chunk(crc)])].concat();
+        let sum_of_data = crc32fast::hash(&[MAGIC, &data(right)].concat());
+        let end = |data_crc: u32, summary_crc: u32| {
+            let records = vec![
+                Record::new(op::DATA_END).u32(data_crc),
+                Record::new(0x80).raw(&[7; 5]),
+                Record::new(op::FOOTER).u64(1).u64(0).u32(summary_crc),
+            ];
+            [&bytes(records), MAGIC].concat()
+        };
+        let summary = end(0, 0);
+        let sum_of_summary = crc32fast::hash(&summary[13..summary.len() - MAGIC.len() - 4]);
+        let file = |chunk_crc, data_crc, summary_crc| {
+            read(&[data(chunk_crc), end(data_crc, summary_crc)].concat())
+        };
+        for (crc, data_crc, summary_crc) in [(0, 0, 0), (right, sum_of_data, sum_of_summary)] {
+            let (read, error) = file(crc, data_crc, summary_crc);
+            assert_eq!((read.len(), error), (2, None));
+        }
+        let damaged = [
+            (file(right ^ 1, 0, 0), 1, "a chunk is damaged"),
+            (
+                file(right, sum_of_data ^ 1, 0),
+                2,
+                "part with the messages is damaged",
+            ),
+            (
+                file(right, sum_of_data, sum_of_summary ^ 1),
+                2,
+                "the summary is damaged",
+            ),
+        ];
+        for ((read, error), count, expected) in damaged {
+            let error = error.unwrap();
+            assert!(error.contains(expected), "{error}, not {expected}");
+            assert_eq!(read.len(), count, "{error}");
+        }
     }
 
     #[test]

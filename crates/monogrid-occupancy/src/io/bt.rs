@@ -1,9 +1,9 @@
 //! OctoMap's `.bt`: two bits per child (0 unknown, 1 free, 2 occupied, 3 inner; low bits first),
 //! inner children depth first. The maximum-likelihood tree is pruned again before it is written.
 
-use std::io::{BufReader, BufWriter, Read, Write};
+use std::io::{BufRead, BufReader, BufWriter, Read, Write};
 
-use super::header::{self, Cube, TREE_DEPTH, octomap_clamps, read_array};
+use super::header::{self, Cube, LEGACY_MAGIC, TREE_DEPTH, octomap_clamps, read_array};
 use super::write_error;
 use crate::error::MapError;
 use crate::likelihood::FREE;
@@ -42,7 +42,8 @@ pub fn write_bt(map: &OccupancyMap, out: &mut impl Write) -> Result<(), MapError
     out.flush().map_err(write_error)
 }
 
-/// Reads OctoMap's `.bt`; free and occupied cells get OctoMap's clamps -2 and 3.511.
+/// Reads OctoMap's `.bt`, also those of versions before 1.4; free and occupied cells get OctoMap's
+/// clamps -2 and 3.511.
 ///
 /// A damaged or hostile file gives an error, never a panic or an allocation beyond the budget.
 ///
@@ -50,12 +51,14 @@ pub fn write_bt(map: &OccupancyMap, out: &mut impl Write) -> Result<(), MapError
 /// The file is not a whole `.bt`, or its map does not fit into `memory_budget_bytes`.
 pub fn read_bt(input: impl Read, memory_budget_bytes: usize) -> Result<OccupancyMap, MapError> {
     let mut input = BufReader::new(input);
-    let header = header::read(&mut input, TITLE, FORMAT)?;
-    if header.id != "OcTree" && header.id != "ColorOcTree" {
-        return Err(MapError::format(
-            FORMAT,
-            format!("tree id {:?} is not supported, expected OcTree", header.id),
-        ));
+    let start = input.fill_buf().map_err(MapError::io("reading a map"))?;
+    let header = match start.starts_with(&LEGACY_MAGIC) {
+        true => header::read_legacy(&mut input, FORMAT)?,
+        false => header::read(&mut input, TITLE, FORMAT)?,
+    };
+    // leaves are bits of their parents, whatever a node has beside
+    if header.extra_bytes().is_none() {
+        return Err(header.unsupported(FORMAT));
     }
     let mut map = header::empty_map(header.resolution, memory_budget_bytes)?;
     if header.size > 0 {

@@ -13,6 +13,10 @@ pub(crate) const TREE_DEPTH: u32 = 16;
 /// Longest header that is believed: a file without one must not be read to its end in search.
 const MAX_HEADER_BYTES: usize = 64 << 10;
 
+/// Edge of cubes that no map has room for, in cells: those that OctoMap prunes to octants of its
+/// whole space.
+const ENDLESS_CELLS: i32 = 1 << 11;
+
 /// OctoMap's own clamps: logit(0.1192) and logit(0.971).
 pub(crate) fn octomap_clamps() -> (f32, f32) {
     let clamp = |probability| log_odds_from_probability(probability) as f32;
@@ -71,13 +75,60 @@ pub(crate) fn read(
             _ => {}
         }
     }
-    if !(header.resolution.is_finite() && header.resolution > 0.0) {
-        return Err(MapError::format(
-            format,
-            format!("resolution {} is not positive", header.resolution),
-        ));
+    header.checked(format)
+}
+
+impl Header {
+    fn checked(self, format: &'static str) -> Result<Self, MapError> {
+        if !(self.resolution.is_finite() && self.resolution > 0.0) {
+            return Err(MapError::format(
+                format,
+                format!("resolution {} is not positive", self.resolution),
+            ));
+        }
+        Ok(self)
     }
-    Ok(header)
+
+    /// Bytes of each node behind its log-odds in a `.ot`; `None` for a tree whose nodes are
+    /// something else. Times of nodes are not written.
+    pub(crate) fn extra_bytes(&self) -> Option<usize> {
+        match self.id.as_str() {
+            // `1` before trees had names
+            "OcTree" | "OcTreeStamped" | "1" => Some(0),
+            "ColorOcTree" => Some(3),
+            _ => None,
+        }
+    }
+
+    pub(crate) fn unsupported(&self, format: &'static str) -> MapError {
+        let id = &self.id;
+        MapError::format(
+            format,
+            format!(
+                "tree id {id:?} is not supported, expected OcTree, OcTreeStamped or ColorOcTree"
+            ),
+        )
+    }
+}
+
+/// What the binary files of OctoMap before 1.4 begin with, in the place of a text: the kind of the
+/// tree.
+pub(crate) const LEGACY_MAGIC: [u8; 4] = [3, 0, 0, 0];
+
+/// Reads that header: kind, resolution (f64), number of nodes (u32).
+pub(crate) fn read_legacy(input: &mut impl Read, format: &'static str) -> Result<Header, MapError> {
+    let kind = read_array::<4>(input, format)?;
+    if kind != LEGACY_MAGIC {
+        return Err(MapError::NotAMap);
+    }
+    let resolution = f64::from_le_bytes(read_array(input, format)?);
+    let size = u32::from_le_bytes(read_array(input, format)?);
+    let header = Header {
+        id: "OcTree".to_owned(),
+        size: size.into(),
+        resolution,
+    };
+    header.checked(format)
 }
 
 fn read_line(
@@ -153,10 +204,14 @@ impl Cube {
         }
     }
 
-    /// Writes a leaf into the map.
+    /// Writes a leaf into the map. Of free space that no map has room for, only that it was there.
     pub(crate) fn fill(self, map: &mut OccupancyMap, log_odds: f32) -> Result<(), MapError> {
         let value = evidence_from_log_odds(f64::from(log_odds));
         let edge = self.edge_cells();
+        if edge >= ENDLESS_CELLS && log_odds < 0.0 {
+            map.endless_free += 1;
+            return Ok(());
+        }
         if edge < BRICK_EDGE {
             return map.fill_cells(self.first, edge, value);
         }

@@ -1,5 +1,6 @@
 //! Maps in the format that a name or the content of a file says.
 
+use super::header::LEGACY_MAGIC;
 use super::{
     MGO_MAGIC, read_bt, read_mgo, read_ot, write_bt, write_mgo, write_ot, write_pcd, write_ply,
 };
@@ -100,7 +101,9 @@ pub fn read_map(
     let budget = usize::try_from(budget).unwrap_or(usize::MAX);
     let start = input.fill_buf();
     let start = start.map_err(MapError::io("reading a map"))?;
-    let (map, format) = if start.starts_with(b"# Octomap OcTree binary file") {
+    let is_bt =
+        start.starts_with(b"# Octomap OcTree binary file") || start.starts_with(&LEGACY_MAGIC);
+    let (map, format) = if is_bt {
         (read_bt(input, budget), MapFormat::Bt)
     } else if start.starts_with(b"# Octomap OcTree file") {
         (read_ot(input, budget), MapFormat::Ot)

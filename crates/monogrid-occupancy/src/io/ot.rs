@@ -32,7 +32,8 @@ pub fn write_ot(map: &OccupancyMap, out: &mut impl Write) -> Result<(), MapError
     out.flush().map_err(write_error)
 }
 
-/// Reads OctoMap's `.ot` (ids `OcTree` and `ColorOcTree`, whose colours are dropped).
+/// Reads OctoMap's `.ot` (ids `OcTree`, `OcTreeStamped` and `ColorOcTree`, whose colours are
+/// dropped).
 ///
 /// The map gets OctoMap's own clamps and the given memory budget; a damaged or hostile file
 /// gives an error, never a panic or an allocation beyond the budget.
@@ -42,16 +43,9 @@ pub fn write_ot(map: &OccupancyMap, out: &mut impl Write) -> Result<(), MapError
 pub fn read_ot(input: impl Read, memory_budget_bytes: usize) -> Result<OccupancyMap, MapError> {
     let mut input = BufReader::new(input);
     let header = header::read(&mut input, TITLE, FORMAT)?;
-    let extra_bytes = match header.id.as_str() {
-        "OcTree" => 0,
-        "ColorOcTree" => 3,
-        id => {
-            return Err(MapError::format(
-                FORMAT,
-                format!("tree id {id:?} is not supported, expected OcTree or ColorOcTree"),
-            ));
-        }
-    };
+    let extra_bytes = header
+        .extra_bytes()
+        .ok_or_else(|| header.unsupported(FORMAT))?;
     let mut map = header::empty_map(header.resolution, memory_budget_bytes)?;
     if header.size > 0 {
         read_node(&mut input, Cube::ROOT, extra_bytes, &mut map)?;

@@ -1,5 +1,6 @@
 //! A map seen from above, as ground robots plan on it.
 
+use crate::error::MapError;
 use crate::evidence::{Occupancy, UNKNOWN};
 use crate::key::BRICK_EDGE;
 use crate::map::OccupancyMap;
@@ -24,14 +25,17 @@ pub struct Projection {
 const OCCUPIED_GREY: u8 = 0;
 const FREE_GREY: u8 = 254;
 const UNKNOWN_GREY: u8 = 205;
-/// Largest side of the grid: larger ones would be stray cells, and gigabytes.
-const MAX_SIDE: i64 = 16384;
+/// Most columns of a grid, of any shape: ten kilometres of 1 m in both directions. More would be
+/// stray cells, and gigabytes.
+const MAX_COLUMNS: i64 = 1 << 27;
 
 impl OccupancyMap {
-    /// Projects the cells whose centres lie between two heights (z, both inclusive), at most 16384
-    /// cells from the smallest x and y on. `None` if none of them is known.
-    #[must_use]
-    pub fn projected(&self, low: f64, high: f64) -> Option<Projection> {
+    /// Projects the cells whose centres lie between two heights (z, both inclusive). `None` if none
+    /// of them is known.
+    ///
+    /// # Errors
+    /// More than 134 million columns: nothing is cut off.
+    pub fn projected(&self, low: f64, high: f64) -> Result<Option<Projection>, MapError> {
         let in_band = |z: i32| {
             let center = (f64::from(z) + 0.5) * self.resolution();
             (low..=high).contains(&center)
@@ -45,27 +49,31 @@ impl OccupancyMap {
         });
         let [x_min, y_min, x_max, y_max] = bounds;
         if x_min > x_max {
-            return None;
+            return Ok(None);
         }
-        let side = |min: i64, max: i64| (max - min + 1).min(MAX_SIDE);
-        let (width, height) = (side(x_min, x_max), side(y_min, y_max));
+        let (width, height) = (x_max - x_min + 1, y_max - y_min + 1);
+        if width.saturating_mul(height) > MAX_COLUMNS {
+            return Err(MapError::GridSize {
+                width,
+                height,
+                most: MAX_COLUMNS,
+            });
+        }
         let mut columns = vec![Occupancy::Unknown; (width * height) as usize];
         self.for_each_column(in_band, |x, y, state| {
             let (x, y) = (i64::from(x) - x_min, i64::from(y) - y_min);
-            if x < width && y < height {
-                let column = &mut columns[(y * width + x) as usize];
-                if *column != Occupancy::Occupied {
-                    *column = state;
-                }
+            let column = &mut columns[(y * width + x) as usize];
+            if *column != Occupancy::Occupied {
+                *column = state;
             }
         });
-        Some(Projection {
+        Ok(Some(Projection {
             width: width as usize,
             height: height as usize,
             resolution: self.resolution(),
             origin: [x_min, y_min].map(|index| index as f64 * self.resolution()),
             columns,
-        })
+        }))
     }
 
     /// Calls `visit(x, y, state)` for the known columns of each brick, within the heights of
@@ -199,7 +207,7 @@ mod tests {
             map.set_log_odds(VoxelKey::new(x, y, z), Some(log_odds))
                 .unwrap();
         }
-        let grid = map.projected(0.0, 2.0).unwrap();
+        let grid = map.projected(0.0, 2.0).unwrap().unwrap();
         assert_eq!((grid.width, grid.height), (3, 2));
         use Occupancy::{Free, Occupied, Unknown};
         assert_eq!(
@@ -277,7 +285,7 @@ mod tests {
                 .unwrap();
         }
         let (low, high) = (-3.5, 6.0);
-        let grid = map.projected(low, high).unwrap();
+        let grid = map.projected(low, high).unwrap().unwrap();
         for row in 0..grid.height {
             for column in 0..grid.width {
                 let x = grid.origin[0] as i32 + column as i32;
@@ -300,10 +308,37 @@ mod tests {
             let key = BrickKey::new(0, 0, 0).cell(index);
             map.set_log_odds(key, Some(-2.0)).unwrap();
         }
-        let grid = map.projected(7.2, 7.8).unwrap();
+        let grid = map.projected(7.2, 7.8).unwrap().unwrap();
         assert_eq!(grid.columns, vec![Occupancy::Free; 64]);
-        assert_eq!(map.projected(8.2, 9.0), None);
+        assert_eq!(map.projected(8.2, 9.0).unwrap(), None);
         let empty = OccupancyMap::new(MapConfig::default()).unwrap();
-        assert_eq!(empty.projected(-1.0, 1.0), None);
+        assert_eq!(empty.projected(-1.0, 1.0).unwrap(), None);
+    }
+
+    #[test]
+    fn a_grid_of_any_length_is_whole_and_one_that_is_too_large_is_refused() {
+        let wall = |at: &[[i32; 2]]| {
+            let mut map = OccupancyMap::new(MapConfig::with_resolution(0.05)).unwrap();
+            for [x, y] in at {
+                map.set_log_odds(VoxelKey::new(*x, *y, 0), Some(1.0))
+                    .unwrap();
+            }
+            map
+        };
+        for (end, width, height) in [([20_000, 0], 20_001, 1), ([0, -90_000], 1, 90_001)] {
+            let map = wall(&[[0, 0], end]);
+            let grid = map.projected(-1.0, 1.0).unwrap().unwrap();
+            assert_eq!((grid.width, grid.height), (width, height));
+            assert_eq!(grid.columns.first(), Some(&Occupancy::Occupied));
+            assert_eq!(grid.columns.last(), Some(&Occupancy::Occupied));
+        }
+        // of what is high up nothing is asked
+        let mut map = wall(&[[0, 0], [20_000, 20_000]]);
+        let refused = map.projected(-1.0, 1.0).unwrap_err().to_string();
+        assert!(refused.contains("20001 x 20001"), "{refused}");
+        map.set_log_odds(VoxelKey::new(3, 3, 90), Some(1.0))
+            .unwrap();
+        let grid = map.projected(4.0, 5.0).unwrap().unwrap();
+        assert_eq!((grid.width, grid.height), (1, 1));
     }
 }

@@ -2,7 +2,6 @@
 
 use super::CameraInfo;
 use super::convert::{BufferLayout, FORMATS, PixelFormat, decoded};
-use crate::turn::Turn;
 use crate::{Opened, VideoError, VideoFrame};
 use moq_v4l::buffer::Type;
 use moq_v4l::control::{Control, Value};
@@ -97,23 +96,22 @@ pub(super) fn open(path: &Path) -> Result<Opened, VideoError> {
     stream.set_timeout(TIMEOUT);
     let locked = lock(&device);
     let label = String::from_utf8_lossy(&code).into_owned();
+    let frames = CameraFrames {
+        name,
+        stream,
+        layout: BufferLayout {
+            format,
+            width: set.width as usize,
+            height: set.height as usize,
+            stride: set.stride as usize,
+        },
+        begin: None,
+        frame: 0,
+    };
+    let description = format!("V4L2 camera, {label}, locked: {locked}");
     Ok(Opened {
-        description: format!("V4L2 camera, {label}, locked: {locked}"),
-        length: None,
         live: true,
-        turn: Turn::None,
-        frames: Box::new(CameraFrames {
-            name,
-            stream,
-            layout: BufferLayout {
-                format,
-                width: set.width as usize,
-                height: set.height as usize,
-                stride: set.stride as usize,
-            },
-            begin: None,
-            frame: 0,
-        }),
+        ..Opened::new(description, Box::new(frames))
     })
 }
 

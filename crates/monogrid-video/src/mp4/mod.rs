@@ -4,10 +4,11 @@ mod samples;
 
 pub(crate) use samples::{Sample, Samples};
 
-use crate::VideoError;
+use crate::pixels::PixelShape;
 use crate::turn::Turn;
+use crate::{Elsewhere, VideoError};
 use shiguredo_mp4::boxes::{
-    AvccBox, ElstBox, HdlrBox, MoovBox, MvhdBox, SampleEntry, TrakBox, UnknownBox,
+    AvccBox, ElstBox, HdlrBox, MvhdBox, SampleEntry, TkhdBox, TrakBox, UnknownBox,
 };
 use shiguredo_mp4::{BoxHeader, BoxType, Decode};
 use std::fs::File;
@@ -16,8 +17,8 @@ use std::io::{Read, Seek, SeekFrom};
 /// Largest index (`moov`) that is read, bytes: that of a day at 60 Hz.
 const MAX_INDEX_BYTES: u64 = 1 << 28;
 
-/// Boxes in front of the index beyond which the file is taken for damaged.
-const MAX_BOXES_BEFORE_INDEX: usize = 1000;
+/// Boxes of a file that are looked at for its index and for fragments.
+const MAX_BOXES: usize = 100_000;
 
 /// The video track of a file.
 pub(crate) struct Track {
@@ -29,6 +30,10 @@ pub(crate) struct Track {
     pub(crate) timing: Timing,
     /// How they are turned.
     pub(crate) turn: Turn,
+    /// The shape of the pixels as they are stored; `None` where the container does not say it.
+    pub(crate) pixels: Option<PixelShape>,
+    /// Whether the container mirrors them, which is not done.
+    pub(crate) is_mirrored: bool,
 }
 
 /// From times of the track to times of the film.
@@ -56,77 +61,120 @@ impl Timing {
     }
 }
 
-/// Reads the index of a file: its track of H.264, or what there is instead, for people.
+/// Reads the index of a file: its track of H.264, or what there is instead.
 pub(crate) fn read(
     name: &str,
     file: &mut File,
     file_bytes: u64,
-) -> Result<Result<Track, String>, VideoError> {
-    let index = read_index(file, file_bytes).map_err(|e| VideoError::io(name, e))?;
-    let no_index = || content(name, "no index (moov): the recording was not finished");
-    let index = index.ok_or_else(no_index)?;
-    let mut movie_units_per_second = 1000;
+) -> Result<Result<Track, Elsewhere>, VideoError> {
+    let survey = survey(file, file_bytes).map_err(|e| VideoError::io(name, e))?;
+    let Some(index) = survey.index else {
+        // whose index may be behind the fragments, or with another file
+        if survey.has_fragments {
+            return Ok(Err(Elsewhere::new(FRAGMENTS)));
+        }
+        return Err(content(
+            name,
+            "no index (moov): the recording was not finished",
+        ));
+    };
+    let boxes: Vec<_> = children(&index).collect();
+    let is_video_track =
+        |(kind, bytes): &&(BoxType, &[u8])| *kind == TrakBox::TYPE && is_video(bytes);
+    let tracks: Vec<&[u8]> = boxes.iter().filter(is_video_track).map(|b| b.1).collect();
+    let is_mirrored = tracks.first().is_some_and(|track| is_mirrored(track));
+    let elsewhere = |found: String| Ok(Err(Elsewhere { found, is_mirrored }));
+    // the box that announces fragments lies before or behind the tracks
+    if survey.has_fragments || boxes.iter().any(|b| b.0 == BoxType::Normal(*b"mvex")) {
+        return elsewhere(FRAGMENTS.to_owned());
+    }
+    let header = boxes.iter().find(|b| b.0 == MvhdBox::TYPE);
+    let header = header.and_then(|header| MvhdBox::decode(header.1).ok());
+    let units_per_second = header.map_or(1000, |(header, _)| header.timescale.get());
     let mut other = None;
-    for (kind, bytes) in children(&index) {
-        if kind == MvhdBox::TYPE
-            && let Ok((header, _)) = MvhdBox::decode(bytes)
-        {
-            movie_units_per_second = header.timescale.get();
-        }
-        if kind == BoxType::Normal(*b"mvex") {
-            return Ok(Err("MP4 in fragments".to_owned()));
-        }
-        if kind == TrakBox::TYPE && is_video(bytes) {
-            let track = TrakBox::decode(bytes).map_err(|_| "an unusual video track".to_owned());
-            match track.and_then(|(track, _)| open_track(track, movie_units_per_second, file_bytes))
-            {
-                Ok(track) => return Ok(Ok(track)),
-                Err(found) => other = other.or(Some(found)),
-            }
+    for bytes in tracks {
+        let track = TrakBox::decode(bytes).map_err(|_| "an unusual video track".to_owned());
+        match track.and_then(|(track, _)| open_track(track, units_per_second, file_bytes)) {
+            Ok(track) => return Ok(Ok(track)),
+            Err(found) => other = other.or(Some(found)),
         }
     }
-    other
-        .map(Err)
-        .ok_or_else(|| content(name, "no video track"))
+    let known_bytes: usize = boxes.iter().map(|b| b.1.len()).sum();
+    match other {
+        Some(found) => elsewhere(found),
+        None if known_bytes < index.len() => elsewhere("an index that is damaged".to_owned()),
+        None => Err(content(name, "no video track")),
+    }
 }
+
+/// What a file is whose samples are not all in its index.
+const FRAGMENTS: &str = "MP4 in fragments";
 
 fn content(name: &str, found: &str) -> VideoError {
     VideoError::content(name, "MP4 or MOV", found, "a complete file with video")
 }
 
-/// The content of the index; `None` when there is none.
-fn read_index(file: &mut File, file_bytes: u64) -> std::io::Result<Option<Vec<u8>>> {
+/// What lies in a file.
+#[derive(Default)]
+struct Survey {
+    /// The content of the index (`moov`).
+    index: Option<Vec<u8>>,
+    /// Whether samples lie in fragments (`moof`), whatever the index says.
+    has_fragments: bool,
+}
+
+/// Looks at the boxes of a file, up to the first fragment. What is between them does not matter.
+fn survey(file: &mut File, file_bytes: u64) -> std::io::Result<Survey> {
+    let mut survey = Survey::default();
     let mut position = 0;
-    for _ in 0..MAX_BOXES_BEFORE_INDEX {
+    for _ in 0..MAX_BOXES {
         if position >= file_bytes {
-            return Ok(None);
+            break;
         }
         file.seek(SeekFrom::Start(position))?;
         let mut head = Vec::new();
-        file.take(16).read_to_end(&mut head)?;
-        let Ok((header, header_bytes)) = BoxHeader::decode(&head) else {
-            return Ok(None);
+        file.take(MAX_HEAD_BYTES).read_to_end(&mut head)?;
+        let Some((kind, head_bytes, size)) = box_head(&head) else {
+            break;
         };
-        let size = match header.box_size.get() {
-            0 => file_bytes - position,
-            size => size,
+        let size = size.unwrap_or(file_bytes - position);
+        let Some(bytes) = size.checked_sub(head_bytes) else {
+            break;
         };
-        if size < header_bytes as u64 {
-            return Ok(None);
-        }
-        if header.box_type == MoovBox::TYPE {
-            let bytes = size - header_bytes as u64;
-            if bytes > MAX_INDEX_BYTES || bytes > file_bytes {
-                return Ok(None);
+        match &kind {
+            b"moof" => survey.has_fragments = true,
+            b"moov" if survey.index.is_none() => {
+                if bytes > MAX_INDEX_BYTES || bytes > file_bytes {
+                    break;
+                }
+                file.seek(SeekFrom::Start(position + head_bytes))?;
+                let mut index = Vec::new();
+                file.take(bytes).read_to_end(&mut index)?;
+                survey.index = Some(index);
             }
-            file.seek(SeekFrom::Start(position + header_bytes as u64))?;
-            let mut index = Vec::new();
-            file.take(bytes).read_to_end(&mut index)?;
-            return Ok(Some(index));
+            _ => {}
+        }
+        if survey.has_fragments && survey.index.is_some() {
+            break;
         }
         position = position.saturating_add(size);
     }
-    Ok(None)
+    Ok(survey)
+}
+
+/// Bytes of a header with a long size.
+const MAX_HEAD_BYTES: u64 = 16;
+
+/// Kind of a box, bytes of its header, and of all of it (`None`: to the end). A box with a kind of
+/// its own (`uuid`) has 16 bytes more in front of its content, which nobody reads.
+fn box_head(head: &[u8]) -> Option<([u8; 4], u64, Option<u64>)> {
+    let (size, rest) = head.split_first_chunk()?;
+    let (kind, rest) = rest.split_first_chunk()?;
+    Some(match u32::from_be_bytes(*size) {
+        0 => (*kind, 8, None),
+        1 => (*kind, 16, Some(u64::from_be_bytes(*rest.first_chunk()?))),
+        size => (*kind, 8, Some(size.into())),
+    })
 }
 
 /// The boxes in the content of a box, each with its header, up to the first that is damaged.
@@ -138,6 +186,19 @@ fn children(mut content: &[u8]) -> impl Iterator<Item = (BoxType, &[u8])> {
         content = rest;
         Some((header.box_type, this))
     })
+}
+
+/// Whether the display matrix of a track mirrors its picture, turned or not.
+fn is_mirrored(track: &[u8]) -> bool {
+    let payload = BoxHeader::decode_header_and_payload(track).map_or(&[][..], |b| b.1);
+    let mut headers = children(payload).filter(|child| child.0 == TkhdBox::TYPE);
+    let header = headers.find_map(|header| TkhdBox::decode(header.1).ok());
+    header.is_some_and(|(header, _)| mirrors(&header.matrix))
+}
+
+fn mirrors(matrix: &[i32; 9]) -> bool {
+    let [a, b, c, d] = [matrix[0], matrix[1], matrix[3], matrix[4]].map(i64::from);
+    a * d < b * c
 }
 
 /// Whether the handler (`mdia/hdlr`) of a track is video; other tracks may be of any make.
@@ -161,11 +222,15 @@ fn open_track(
     let edits = track.edts_box.and_then(|edits| edits.elst_box);
     let timing = timing(edits.as_ref(), units_per_second, movie_units_per_second)?;
     let matrix = track.tkhd_box.matrix;
-    let turn = Turn::from_matrix([matrix[0], matrix[1], matrix[3], matrix[4]])
-        .ok_or("a display matrix that is no quarter turn")?;
+    let is_mirrored = mirrors(&matrix);
+    let turn = match is_mirrored {
+        true => Turn::None,
+        false => Turn::from_matrix([matrix[0], matrix[1], matrix[3], matrix[4]])
+            .ok_or("a display matrix that is no quarter turn")?,
+    };
     let table = track.mdia_box.minf_box.stbl_box;
-    let config = match table.stsd_box.entries.as_slice() {
-        [SampleEntry::Avc1(entry)] => entry.avcc_box.clone(),
+    let (config, pixels) = match table.stsd_box.entries.as_slice() {
+        [SampleEntry::Avc1(entry)] => (entry.avcc_box.clone(), pixel_shape(&entry.unknown_boxes)),
         [entry] => return Err(codec_name(entry)),
         _ => return Err("several codecs in one track".to_owned()),
     };
@@ -174,7 +239,21 @@ fn open_track(
         samples: Samples::new(table, file_bytes)?,
         timing,
         turn,
+        pixels,
+        is_mirrored,
     })
+}
+
+/// The shape of the pixels, among the boxes of a codec (`pasp`).
+fn pixel_shape(boxes: &[UnknownBox]) -> Option<PixelShape> {
+    let mut shapes = boxes
+        .iter()
+        .filter(|b| b.box_type == BoxType::Normal(*b"pasp"));
+    let payload = &shapes.next()?.payload;
+    let (width, rest) = payload.split_first_chunk()?;
+    let height = rest.first_chunk()?;
+    let [width, height] = [width, height].map(|side| u32::from_be_bytes(*side).into());
+    Some(PixelShape::new(width, height))
 }
 
 /// The name of a codec as people know it.

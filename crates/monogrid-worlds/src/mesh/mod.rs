@@ -1,7 +1,9 @@
-//! Meshes of others as worlds: `.obj` with `.mtl` and textures, `.ply` with vertex colours.
+//! Meshes of others as worlds: `.obj` with `.mtl` and textures, `.ply` with vertex colours; and
+//! clouds, `.ply` and `.pcd`.
 
 mod light;
 mod obj;
+mod pcd;
 mod ply;
 
 use super::scene::Material;
@@ -26,6 +28,9 @@ pub struct MeshModel {
     /// Texture coordinates of the three corners of each triangle, in tiles, `v` running down; empty
     /// without textures.
     pub corner_uv: Vec<[[f32; 2]; 3]>,
+    /// Vertices of the file that have no place (a coordinate is not finite) and were left out, with
+    /// the faces at them.
+    pub left_out: usize,
 }
 
 /// How a mesh is lit.
@@ -56,7 +61,7 @@ impl World {
 }
 
 impl MeshModel {
-    /// Reads a mesh file, by its extension (`.obj`, `.ply`).
+    /// Reads a mesh file or a cloud, by its extension (`.obj`, `.ply`, `.pcd`).
     ///
     /// # Errors
     /// When the file, its materials or its textures cannot be read.
@@ -66,12 +71,19 @@ impl MeshModel {
             .map(|e| e.to_string_lossy().to_ascii_lowercase());
         match extension.as_deref() {
             Some("obj") => obj::read(path),
-            Some("ply") => Ok(Self {
-                mesh: read_ply(path)?,
-                ..Self::default()
-            }),
+            Some(kind @ ("ply" | "pcd")) => {
+                let (mesh, left_out) = match kind {
+                    "ply" => ply::read_counted(path)?,
+                    _ => pcd::read_counted(path)?,
+                };
+                Ok(Self {
+                    mesh,
+                    left_out,
+                    ..Self::default()
+                })
+            }
             _ => {
-                let expected = "a mesh: .obj or .ply";
+                let expected = "a mesh or a cloud: .obj, .ply or .pcd";
                 Err(DatasetError::content(path, "another extension", expected))
             }
         }
@@ -211,6 +223,23 @@ mod tests {
             let error = MeshModel::read(&path).unwrap_err().to_string();
             assert!(error.contains(name), "{error}");
         }
+    }
+
+    #[test]
+    fn vertices_without_a_place_are_left_out_with_their_faces() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("cloud.ply");
+        let header = "ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n\
+                      property uchar red\nproperty uchar green\nproperty uchar blue\nelement face 2\n\
+                      property list uchar int vertex_indices\nend_header\n";
+        let rows = "nan 0 0 9 9 9\n0 0 0 0 0 0\n1 0 0 255 255 255\n0 inf 0 9 9 9\n0 1 0 0 0 0\n3 0 1 2\n3 1 2 4\n";
+        std::fs::write(&path, [header, rows].concat()).unwrap();
+        let model = MeshModel::read(&path).unwrap();
+        assert_eq!(model.left_out, 2);
+        let vertices = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+        assert_eq!(model.mesh.vertices, vertices);
+        assert_eq!(model.mesh.triangles, [[0, 1, 2]]);
+        assert_eq!(model.mesh.albedo, [0.0, 1.0, 0.0]);
     }
 
     #[test]

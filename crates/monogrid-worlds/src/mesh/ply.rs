@@ -35,18 +35,30 @@ struct Other {}
 /// Reads the triangles (polygons become fans) and, where there are colours, the reflectance of the
 /// vertices. A file without faces gives a mesh without triangles (a point cloud).
 ///
+/// Vertices without a place (a coordinate that is not finite: what a depth camera did not measure)
+/// are left out, with the faces at them; [`MeshModel::read`](super::MeshModel::read) says how many.
+///
 /// # Errors
 /// When the file cannot be read, is not PLY, or ends early.
 pub fn read_ply(path: &Path) -> Result<TriangleMesh, DatasetError> {
+    read_counted(path).map(|(mesh, _)| mesh)
+}
+
+/// As [`read_ply`], and the number of vertices that were left out.
+pub(super) fn read_counted(path: &Path) -> Result<(TriangleMesh, usize), DatasetError> {
     let file = File::open(path).map_err(|e| DatasetError::io("read", path, e))?;
     read(BufReader::new(file))
         .map_err(|reason| DatasetError::content(path, reason, "a complete PLY file"))
 }
 
-fn read(file: impl BufRead) -> Result<TriangleMesh, String> {
+/// The number of a vertex among those that have a place.
+type Kept = Vec<Option<u32>>;
+
+fn read(file: impl BufRead) -> Result<(TriangleMesh, usize), String> {
     let reason = |error: DeserializeError| error.0.to_string();
     let mut reader = PlyReader::from_reader(file).map_err(reason)?;
     let mut mesh = TriangleMesh::default();
+    let mut kept = Kept::new();
     while let Some(element) = reader.current_element() {
         // such rows have no bytes: their number could be anything
         if element.properties.is_empty() && element.count > 0 {
@@ -61,44 +73,51 @@ fn read(file: impl BufRead) -> Result<TriangleMesh, String> {
                     _ => 1.0,
                 });
                 let vertices: Vec<Vertex> = reader.next_element().map_err(reason)?;
-                add_vertices(&vertices, colour_unit, &mut mesh)?;
+                add_vertices(&vertices, colour_unit, &mut mesh, &mut kept);
             }
             "face" => {
                 let faces: Vec<Face> = reader.next_element().map_err(reason)?;
-                add_faces(&faces, &mut mesh)?;
+                add_faces(&faces, &kept, &mut mesh)?;
             }
             _ => drop(reader.next_element::<Vec<Other>>().map_err(reason)?),
         }
     }
-    Ok(mesh)
+    let left_out = kept.len() - mesh.vertices.len();
+    Ok((mesh, left_out))
 }
 
 fn add_vertices(
     vertices: &[Vertex],
     colour_unit: Option<f64>,
     mesh: &mut TriangleMesh,
-) -> Result<(), String> {
-    for (k, v) in vertices.iter().enumerate() {
+    kept: &mut Kept,
+) {
+    for v in vertices {
         let point = [v.x, v.y, v.z];
         if !point.iter().all(|c| c.is_finite()) {
-            return Err(format!("a coordinate that is not finite at vertex {k}"));
+            kept.push(None);
+            continue;
         }
+        kept.push(u32::try_from(mesh.vertices.len()).ok());
         mesh.vertices.push(point);
         if let Some(unit) = colour_unit {
             let grey = unit * luma([v.red, v.green, v.blue].map(f64::from));
             mesh.albedo.push(albedo_of_grey(grey as f32));
         }
     }
-    Ok(())
 }
 
-fn add_faces(faces: &[Face], mesh: &mut TriangleMesh) -> Result<(), String> {
-    let count = mesh.vertices.len();
+fn add_faces(faces: &[Face], kept: &Kept, mesh: &mut TriangleMesh) -> Result<(), String> {
+    let count = kept.len();
     for (k, face) in faces.iter().enumerate() {
         let corners = &face.vertex_indices;
         if let Some(wrong) = corners.iter().find(|&&v| v as usize >= count) {
             return Err(format!("vertex {wrong} of {count} at face {k}"));
         }
+        let corners: Option<Vec<u32>> = corners.iter().map(|v| kept[*v as usize]).collect();
+        let Some(corners) = corners else {
+            continue;
+        };
         for pair in corners.windows(2).skip(1) {
             mesh.triangles.push([corners[0], pair[0], pair[1]]);
         }

@@ -174,6 +174,7 @@ impl CheckReport {
             let count = seen.unreadable.len();
             warnings.push(format!("{count} images cannot be used, first {first}"));
         }
+        warnings.extend(input.faults());
         warnings.extend(sequence.findings());
         if input.own_calibration.is_none() {
             warnings.extend(doubts(input.lens(), input.images_again()));

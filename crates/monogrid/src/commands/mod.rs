@@ -27,7 +27,9 @@ pub mod vocabulary;
 
 use crate::args::JsonArg;
 use crate::failure::{CommandResult, Failure, Outcome};
+use monogrid_worlds::MeshModel;
 use serde::Serialize;
+use std::path::Path;
 
 impl JsonArg {
     /// Prints a report for programs where that is asked for, else for people: the end of a command that did all it was to do.
@@ -46,6 +48,17 @@ pub fn print_json(value: &impl Serialize) -> Result<(), Failure> {
     let text = serde_json::to_string_pretty(value).map_err(Failure::running)?;
     println!("{text}");
     Ok(())
+}
+
+/// What is said of a mesh or a cloud of which something was left out.
+pub fn left_out(model: &MeshModel, source: &Path) -> Option<String> {
+    let count = model.left_out;
+    (count > 0).then(|| {
+        format!(
+            "{}: {count} points whose coordinates are not finite are left out",
+            source.display()
+        )
+    })
 }
 
 /// Says what the user should know.

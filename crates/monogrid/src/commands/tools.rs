@@ -138,9 +138,6 @@ pub struct PlanArgs {
     pub json: JsonArg,
 }
 
-/// Most cells of a map seen from above: ten kilometres of 1 m in both directions, or half of one of 5 cm.
-const MAX_GRID_CELLS: i64 = 1 << 27;
-
 fn point(text: &str) -> Result<[f64; 3], String> {
     let numbers: Option<Vec<f64>> = text
         .split(',')
@@ -336,22 +333,12 @@ pub fn project(args: &ProjectArgs) -> CommandResult {
     let pgm_file = OutputFile::new(&args.output, args.write.force, &inputs)?;
     let yaml_file = OutputFile::new(&yaml, args.write.force, &inputs)?;
     let (map, _) = mapfile::load(&args.map)?;
-    if let Some((first, last)) = map.key_bounds() {
-        let side = |first: i32, last: i32| i64::from(last) - i64::from(first) + 1;
-        let (width, height) = (side(first.x, last.x), side(first.y, last.y));
-        if width * height > MAX_GRID_CELLS {
-            return Err(Failure::input(format!(
-                "{} is {width} x {height} cells seen from above, expected at most {MAX_GRID_CELLS} in all: take a part \
-                 (`monogrid crop`)",
-                args.map.display()
-            )));
-        }
-    }
     let beside = RunBeside::of(&args.map);
     let usual = |share: f64| beside.camera_height.map(|height| share * height);
     let low = args.min_height.or(usual(0.1)).unwrap_or(f64::NEG_INFINITY);
     let high = args.max_height.or(usual(1.1)).unwrap_or(f64::INFINITY);
-    let Some(grid) = map.projected(low, high) else {
+    let projected = map.projected(low, high).bad_input()?;
+    let Some(grid) = projected else {
         return Err(Failure::input(format!(
             "{} has no known cells between the heights {low} and {high}",
             args.map.display(),

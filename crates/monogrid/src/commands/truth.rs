@@ -2,7 +2,7 @@
 
 use super::posed_depth::PosedDepthFolder;
 use super::synth::is_mesh;
-use super::{bytes, warn};
+use super::{bytes, left_out, warn};
 use crate::args::{WriteArgs, positive};
 use crate::failure::{Classify, CommandResult, Failure};
 use crate::mapfile;
@@ -25,8 +25,8 @@ use std::path::{Path, PathBuf};
 /// `monogrid truth`.
 #[derive(Debug, Args)]
 pub struct TruthArgs {
-    /// Mesh or point cloud (.ply, .obj), a built-in world (e.g. living-room), or a folder in TUM layout
-    /// with depth images and poses
+    /// Mesh or point cloud (.ply, .pcd, .obj), a built-in world (e.g. living-room), or a folder in
+    /// TUM layout with depth images and poses
     pub source: PathBuf,
     /// Edge length of a cell, in units of the source
     #[arg(long, value_name = "L", value_parser = positive, default_value_t = 0.05)]
@@ -142,13 +142,16 @@ impl Kind {
         if source.is_dir() {
             return Ok(Self::Folder);
         }
-        if is_mesh(source) {
+        let is_pcd = source
+            .extension()
+            .is_some_and(|e| e.eq_ignore_ascii_case("pcd"));
+        if is_mesh(source) || is_pcd {
             return Ok(Self::Mesh);
         }
         match source.to_str() {
             Some(name) if WORLD_NAMES.contains(&name) => Ok(Self::World(name.to_owned())),
             _ => Err(Failure::input(format!(
-                "{} is neither a mesh (.ply, .obj), nor a folder with depth images, nor a built-in \
+                "{} is neither a mesh or cloud (.ply, .pcd, .obj), nor a folder with depth images, nor a built-in \
                  world ({})",
                 source.display(),
                 WORLD_NAMES.join(", ")
@@ -165,7 +168,9 @@ fn from_mesh(args: &TruthArgs) -> Result<Made, Failure> {
             args.source.display()
         )));
     };
-    let mesh = MeshModel::read(&args.source).bad_input()?.mesh;
+    let model = MeshModel::read(&args.source).bad_input()?;
+    let left_out = left_out(&model, &args.source);
+    let mesh = model.mesh;
     let cameras = positions(trajectory)?;
     let config = truth_config(args);
     let (truth, what) = if mesh.triangles.is_empty() {
@@ -177,7 +182,9 @@ fn from_mesh(args: &TruthArgs) -> Result<Made, Failure> {
         let truth = truth_from_triangles(&triangles, &cameras, &config).bad_input()?;
         (truth, format!("{} triangles", triangles.len()))
     };
-    Ok(of_surface(truth, what, cameras.len()))
+    let (grid, mut made) = of_surface(truth, what, cameras.len());
+    made.warnings.extend(left_out);
+    Ok((grid, made))
 }
 
 fn from_world(args: &TruthArgs, name: &str) -> Result<Made, Failure> {

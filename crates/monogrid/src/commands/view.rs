@@ -1,5 +1,6 @@
 //! `monogrid view`: a map, a cloud or a run in the browser, as a page or as a picture.
 
+use super::left_out;
 use crate::args::WriteArgs;
 use crate::colours::Colours;
 use crate::explorer::{
@@ -29,7 +30,8 @@ use std::time::Duration;
 /// `monogrid view`.
 #[derive(Debug, Args)]
 pub struct ViewArgs {
-    /// Map (.ot, .bt, .mgo), points (.ply), recording (.mgk), submaps (submaps.json), or the folder of a run
+    /// Map (.ot, .bt, .mgo), points (.ply, .pcd), recording (.mgk), submaps (submaps.json), or the
+    /// folder of a run
     pub source: PathBuf,
     /// Port on this computer; 0 is any that is free
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -127,10 +129,12 @@ impl Shown {
         if source.is_dir() {
             return Self::of_run(source);
         }
-        let extension = source.extension();
+        let is_cloud = source.extension().is_some_and(|extension| {
+            extension.eq_ignore_ascii_case("ply") || extension.eq_ignore_ascii_case("pcd")
+        });
         let (scene, cubes) = if Source::is_at(source) {
             of_recording(source)?
-        } else if extension.is_some_and(|extension| extension.eq_ignore_ascii_case("ply")) {
+        } else if is_cloud {
             of_points(source)?
         } else {
             of_map(source)?
@@ -211,7 +215,11 @@ fn of_map(source: &Path) -> Result<(Scene, Vec<Cube>), Failure> {
 }
 
 fn of_points(source: &Path) -> Result<(Scene, Vec<Cube>), Failure> {
-    let mesh = MeshModel::read(source).bad_input()?.mesh;
+    let model = MeshModel::read(source).bad_input()?;
+    left_out(&model, source)
+        .iter()
+        .for_each(|said| eprintln!("warning: {said}"));
+    let mesh = model.mesh;
     let keep_every = Cloud::keep_every(mesh.vertices.len());
     let grey = |albedo: &f32| (albedo.clamp(0.0, 1.0) * 255.0) as u8;
     let points = mesh.vertices.iter().enumerate().step_by(keep_every);

@@ -196,6 +196,7 @@ fn summary(
     let said = |count: usize, what: &str| (count > 0).then(|| format!("{count} frames {what}"));
     // in the order in which it was found out
     let mut warnings = input.warnings.clone();
+    warnings.extend(input.faults());
     warnings.extend(looked.warning.clone());
     warnings.extend(extras.warnings);
     warnings.extend(tracked.run.slam.spill_failure());

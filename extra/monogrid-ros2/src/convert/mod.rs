@@ -1,17 +1,15 @@
 //! From messages and to messages: one function each, which knows nothing of a node.
 
 mod diagnostics;
-mod inertial;
 mod maps;
 
 pub use diagnostics::{Condition, diagnostics};
-pub use inertial::imu_sample_of;
 pub use maps::{
     MAX_BYTES, MAX_PATH_POSES, MAX_POINTS, changed_part, cloud_of_cells, cloud_of_keyframe,
     last_path_of, octomap_of, part_that_fits,
 };
 pub use monogrid_bags::convert::{
-    camera_of, gray_image, gray_of_compressed, grid_of, odometry_of, transform_of,
+    camera_of, gray_image, gray_of_compressed, grid_of, imu_sample_of, odometry_of, transform_of,
 };
 
 /// Largest message that is sent, bytes: what is larger can be lost on its way without an error on either side.

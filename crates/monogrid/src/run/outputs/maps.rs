@@ -206,7 +206,7 @@ fn write_grid(
 }
 
 /// The map seen from above, of the heights that matter, and these; `heights` are those of its occupied cells. `None` where nothing
-/// of them is known.
+/// of them is known, or the map is too large for it, which is said.
 pub fn seen_from_above(
     map: &OccupancyMap,
     heights: impl Iterator<Item = f64>,
@@ -216,7 +216,13 @@ pub fn seen_from_above(
     let mut occupied: Vec<f64> = heights.collect();
     let cameras: Vec<f64> = path.iter().map(|p| p[2]).collect();
     let band = navigation_band(&mut occupied, &cameras, ground.has_floor);
-    Some((map.projected(band[0], band[1])?, band))
+    match map.projected(band[0], band[1]) {
+        Ok(grid) => grid.map(|grid| (grid, band)),
+        Err(error) => {
+            eprintln!("warning: there is no map.pgm: {error}");
+            None
+        }
+    }
 }
 
 /// Comment of a grid whose lengths are not metres.
