@@ -193,7 +193,7 @@ fn coarse_to_fine(
             Ok(fit) => {
                 finest = Err(TrackOutcome::Dissimilar {
                     correlation: fit.correlation,
-                })
+                });
             }
             Err(failure) => finest = Err(failure.into()),
         }
