@@ -3,7 +3,7 @@
 use crate::convert::{camera_of, gray_image, gray_of_compressed};
 use crate::error::BagError;
 use crate::message::Raw;
-use crate::part::{Format, Part, parts_of};
+use crate::part::{Format, Part, is_packed, parts_of};
 use crate::topic::{Family, Indexed, Topic, TopicKind};
 use crate::{db3, foxglove, mcap, ros1};
 use monogrid_geometry::Camera;
@@ -111,10 +111,12 @@ impl Bag {
     pub fn open(path: &Path) -> Result<Self, BagError> {
         let mut parts = parts_of(path).map_err(BagError::io(path))?;
         if parts.is_empty() {
-            return Err(BagError::damaged(
-                path,
-                "begins neither as MCAP, as SQLite nor as a ROS 1 bag: expected a .mcap, .db3 or .bag file, or the folder of a rosbag2",
-            ));
+            let reason = if is_packed(path) {
+                "is compressed with zstd, and what it holds is no recording or cannot be decompressed: is it whole?"
+            } else {
+                "begins neither as MCAP, as SQLite nor as a ROS 1 bag: expected a .mcap, .db3 or .bag file, or the folder of a rosbag2"
+            };
+            return Err(BagError::damaged(path, reason));
         }
         parts.iter_mut().try_for_each(Part::prepare)?;
         let mut topics = BTreeMap::new();

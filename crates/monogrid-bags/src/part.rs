@@ -94,6 +94,13 @@ impl Part {
     }
 }
 
+/// Whether a file begins as one that was compressed as a whole.
+pub fn is_packed(path: &Path) -> bool {
+    let mut head = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(4).read_to_end(&mut head));
+    read.is_ok() && head == ZSTD_MAGIC
+}
+
 /// The first bytes of what is compressed; none where that is nothing.
 fn unpacked_head(path: &Path) -> Vec<u8> {
     let head = || {

@@ -36,6 +36,13 @@ pub fn read_trajectory(path: &Path) -> Result<Vec<TimedPose>, DatasetError> {
     parse_trajectory(&read_text(path)?, path)
 }
 
+/// Whether a line names the columns of the lines below it, a time and a position at least.
+fn are_column_names(line: &str) -> bool {
+    let words = line.split(|c: char| c == ',' || c.is_whitespace());
+    let num_words = words.filter(|word| !word.is_empty()).count();
+    num_words >= 4 && !line.contains(|c: char| c.is_ascii_digit())
+}
+
 /// Parses a trajectory; `path` is only for messages.
 ///
 /// # Errors
@@ -50,9 +57,8 @@ pub fn parse_trajectory(text: &str, path: &Path) -> Result<Vec<TimedPose>, Datas
     }
     let unit = TimeUnit::of(data_lines(text).map(|(_, line)| first_word(line).0));
     let mut poses = Vec::new();
-    for (number, line) in data_lines(text) {
-        // names of columns
-        if poses.is_empty() && !line.contains(|c: char| c.is_ascii_digit()) {
+    for (at, (number, line)) in data_lines(text).enumerate() {
+        if at == 0 && are_column_names(line) {
             continue;
         }
         poses.push(parse_line(line, unit).ok_or_else(|| {

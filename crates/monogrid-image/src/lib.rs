@@ -7,7 +7,6 @@
 mod buffer;
 mod gradient;
 pub mod lanes;
-mod noise;
 mod photometric;
 mod pyramid;
 mod undistort;
@@ -17,7 +16,6 @@ pub use buffer::{
     to_gray8,
 };
 pub use gradient::{GradientImage, max_gradient};
-pub use noise::noise_sigma;
 pub use photometric::{Photometric, PhotometricError};
 pub use pyramid::{Pyramid, half_size, pyramid_intrinsics};
 pub use undistort::{Undistorter, WorkingSize};

@@ -1,6 +1,6 @@
 //! Image pyramids: level 0 is the finest, each level halves the size.
 
-use crate::{GrayImage, Image, noise_sigma};
+use crate::{GrayImage, Image};
 use monogrid_geometry::Pinhole;
 
 /// A grey image at halving resolutions; level 0 is the input.
@@ -8,12 +8,7 @@ use monogrid_geometry::Pinhole;
 pub struct Pyramid {
     /// The images, finest first.
     pub levels: Vec<GrayImage>,
-    noise_sigma: f32,
 }
-
-/// Less noise than this is not believed, grey levels: images of eight bits that were compressed show
-/// faint texture no better than with so much.
-const MIN_NOISE_SIGMA: f32 = 1.0;
 
 impl Pyramid {
     /// Memory of the images, bytes.
@@ -26,7 +21,6 @@ impl Pyramid {
     /// Builds at most `num_levels` levels, stopping before a side falls below 16 pixels.
     #[must_use]
     pub fn new(image: GrayImage, num_levels: usize) -> Self {
-        let noise_sigma = noise_sigma(&image).max(MIN_NOISE_SIGMA);
         let mut levels = vec![image];
         while levels.len() < num_levels {
             let last = &levels[levels.len() - 1];
@@ -36,17 +30,7 @@ impl Pyramid {
             let next = half_size(last);
             levels.push(next);
         }
-        Self {
-            levels,
-            noise_sigma,
-        }
-    }
-
-    /// Standard deviation of the noise on a level, grey levels: averages of four pixels have half as
-    /// much as these.
-    #[must_use]
-    pub fn noise_sigma(&self, level: usize) -> f32 {
-        self.noise_sigma / (1u64 << level) as f32
+        Self { levels }
     }
 
     /// The image of a level.

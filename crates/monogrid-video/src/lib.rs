@@ -351,6 +351,7 @@ impl Video {
         let topic = topic.map(str::to_owned);
         let start = move |source: &Source| source.start_recording(topic.as_deref());
         let mut video = Self::begin(source.as_ref(), patience, start)?;
+        video.clock.can_be_set_back = true;
         let recorded = std::mem::replace(&mut video.begun.recorded, Ok(None));
         Ok((video, recorded))
     }
@@ -382,10 +383,13 @@ impl Video {
         match begun {
             Ok(begun) => Ok(Self {
                 name,
+                clock: Clock {
+                    can_be_set_back: begun.live,
+                    ..Clock::default()
+                },
                 begun,
                 messages,
                 program,
-                clock: Clock::default(),
                 ended: false,
             }),
             Err(error) => {
@@ -509,6 +513,8 @@ const ROUNDING_NS: i64 = 1_000_000;
 /// are set back.
 #[derive(Debug, Default)]
 struct Clock {
+    /// Whether its source has a clock. In a file of a video, frames behind damage are out of order.
+    can_be_set_back: bool,
     /// The last time that was given out.
     last_ns: Option<i64>,
     /// The last difference between two of them that was as the source had it.
@@ -537,7 +543,7 @@ impl Clock {
                 let back_ns = step_ns.saturating_neg();
                 self.repaired += 1;
                 self.faulty += usize::from(back_ns == 0 || back_ns > ROUNDING_NS);
-                let is_jump = back_ns > CLOCK_JUMP_NS;
+                let is_jump = self.can_be_set_back && back_ns > CLOCK_JUMP_NS;
                 let after_ns = if is_jump { self.step_ns.max(1) } else { 1 };
                 let right_ns = last_ns.saturating_add(after_ns);
                 if is_jump {
@@ -684,10 +690,35 @@ pub(crate) fn time_at_rate(frame: usize, (numerator, denominator): (u64, u64)) -
 mod tests {
     use super::Clock;
 
-    fn used(times_ns: &[i64]) -> (Vec<i64>, Clock) {
-        let mut clock = Clock::default();
+    fn used_by(can_be_set_back: bool, times_ns: &[i64]) -> (Vec<i64>, Clock) {
+        let mut clock = Clock {
+            can_be_set_back,
+            ..Clock::default()
+        };
         let used = times_ns.iter().map(|t| clock.increasing(*t)).collect();
         (used, clock)
+    }
+
+    fn used(times_ns: &[i64]) -> (Vec<i64>, Clock) {
+        used_by(true, times_ns)
+    }
+
+    #[test]
+    fn frames_of_a_file_that_are_out_of_order_set_no_clock_back() {
+        let times = [
+            0,
+            33 * MS,
+            1100 * MS,
+            66 * MS,
+            1133 * MS,
+            99 * MS,
+            1166 * MS,
+        ];
+        let (times, clock) = used_by(false, &times);
+        let (first, last) = (times[..3].to_vec(), times[6]);
+        assert_eq!((first, last), (vec![0, 33 * MS, 1100 * MS], 1166 * MS));
+        assert!(times.is_sorted(), "{times:?}");
+        assert_eq!((clock.repaired, clock.jumps), (2, 0));
     }
 
     const MS: i64 = 1_000_000;

@@ -255,7 +255,9 @@ fn fields_are_made_whole_frames() {
         // neither says that it is interlaced any more
         let text = std::fs::read(&raw).unwrap();
         let line = text.iter().position(|byte| *byte == b'\n').unwrap();
-        let header = String::from_utf8_lossy(&text[..line]).replace(" It", " Ip");
+        let header = String::from_utf8_lossy(&text[..line])
+            .replace(" It", " Ip")
+            .replace(" Ib", " Ip");
         std::fs::write(&raw, [header.as_bytes(), &text[line..]].concat()).unwrap();
         let combed: Vec<f64> = images(&raw).iter().map(combing).collect();
         let mut video = Video::open(&path).unwrap();

@@ -14,7 +14,7 @@ pub enum InfoError {
     /// A distortion that cannot be undone here.
     #[error(
         "distortion model {model:?} with {count} parameters is not supported; there are plumb_bob (4 or 5), \
-         equidistant (4), rational_polynomial whose parameters from the sixth on are 0, and topics of rectified images"
+         rational_polynomial (8), equidistant (4), and topics of rectified images"
     )]
     Distortion {
         /// What it is called.
@@ -60,33 +60,23 @@ pub fn camera_of(info: &CameraInfo, is_rectified: bool) -> Result<Camera, InfoEr
 }
 
 fn distortion_of(info: &CameraInfo) -> Result<Distortion, InfoError> {
-    let model = info.distortion_model.as_str();
+    let (model, d) = (info.distortion_model.as_str(), &info.d);
     // drivers fill up with zeros: thin prisms and a numerator that are not there
-    let num_used = info
-        .d
-        .iter()
-        .rposition(|value| *value != 0.0)
-        .map_or(0, |last| last + 1);
-    let term = |k: usize| info.d.get(k).copied().unwrap_or(0.0);
-    match model {
-        "equidistant" | "fisheye" if info.d.len() >= 4 && num_used <= 4 => {
-            Ok(Distortion::Equidistant {
-                k: [0, 1, 2, 3].map(term),
-            })
-        }
-        "equidistant" => Err(unsupported(info)),
-        _ if num_used == 0 => Ok(Distortion::None),
-        "plumb_bob" | "rational_polynomial" if num_used <= 5 && info.d.len() >= 4 => {
-            Ok(Distortion::RadialTangential {
-                k1: term(0),
-                k2: term(1),
-                p1: term(2),
-                p2: term(3),
-                k3: term(4),
-            })
-        }
-        _ => Err(unsupported(info)),
-    }
+    let num_used = d.iter().rposition(|v| *v != 0.0).map_or(0, |last| last + 1);
+    let first = |count: usize| -> Vec<f64> {
+        let given = d.iter().copied().chain(std::iter::repeat(0.0));
+        given.take(count).collect()
+    };
+    let coefficients = match model {
+        "equidistant" | "fisheye" if d.len() >= 4 && num_used <= 4 => first(4),
+        "equidistant" => return Err(unsupported(info)),
+        _ if num_used == 0 => return Ok(Distortion::None),
+        "plumb_bob" if d.len() >= 4 && num_used <= 5 => first(5),
+        "rational_polynomial" if d.len() >= 4 && num_used <= 8 => first(8),
+        "plumb_bob" | "rational_polynomial" => return Err(unsupported(info)),
+        _ => d.clone(),
+    };
+    Distortion::from_name(model, &coefficients).map_err(|_| unsupported(info))
 }
 
 fn unsupported(info: &CameraInfo) -> InfoError {
@@ -156,6 +146,10 @@ mod tests {
                 assert_eq!(camera.distortion, plumb_bob, "{model}, {num_zeros}");
             }
         }
+        let thin = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.0, 0.7, 0.0, 0.0];
+        let camera = camera_of(&info("rational_polynomial", &thin), false).unwrap();
+        let (k, p) = ([0.1, 0.2, 0.5, 0.6, 0.0, 0.7], [0.3, 0.4]);
+        assert_eq!(camera.distortion, Distortion::Rational { k, p });
         let fisheye = camera_of(&info("equidistant", &[0.1, 0.2, 0.3, 0.4]), false).unwrap();
         let k = [0.1, 0.2, 0.3, 0.4];
         assert_eq!(fisheye.distortion, Distortion::Equidistant { k });
@@ -172,11 +166,12 @@ mod tests {
     fn others_are_refused_unless_the_images_are_rectified() {
         let rational = info(
             "rational_polynomial",
-            &[0.1, 0.2, 0.3, 0.4, 0.5, 0.0, 0.0, 0.1],
+            // a thin prism
+            &[0.1, 0.2, 0.3, 0.4, 0.5, 0.0, 0.0, 0.1, 0.2],
         );
         let refused = InfoError::Distortion {
             model: "rational_polynomial".into(),
-            count: 8,
+            count: 9,
         };
         assert_eq!(camera_of(&rational, false), Err(refused));
         let camera = camera_of(&rational, true).unwrap();

@@ -30,8 +30,7 @@ pub struct PatchSearchConfig {
     /// A second place whose `1 - correlation` is at most this many times that of the best makes
     /// the match ambiguous. Default 1.5.
     pub min_dissimilarity_ratio: f32,
-    /// Smallest mean squared gradient of a patch in its weakest direction over the variance of the
-    /// noise of its level. A patch is not refined on levels that show less. Default 0.4.
+    /// Weakest mean squared gradient of a patch, (grey levels / px)². Default 2.
     pub min_score: f32,
 }
 
@@ -45,7 +44,7 @@ impl Default for PatchSearchConfig {
             min_step_px: 0.01,
             min_correlation: 0.8,
             min_dissimilarity_ratio: 1.5,
-            min_score: 0.4,
+            min_score: 2.0,
         }
     }
 }
@@ -104,13 +103,11 @@ pub fn find_patch(
             pixel,
             reference_from_current,
             level,
-            config.min_score * reference.noise_sigma(level).powi(2),
+            config.min_score,
         );
         match patch {
             Ok(patch) => patches.push(patch),
-            // nothing but noise on this level: the next one shows more
-            Err(TrackOutcome::NoTexture) if patches.is_empty() && level < coarsest => {}
-            Err(outcome) if patches.is_empty() => return outcome,
+            Err(outcome) if level == 0 => return outcome,
             // too close to the border or too smooth up there: search on the finer levels only
             Err(_) => break,
         }
@@ -168,14 +165,13 @@ pub fn patch_warp(
     Matrix2::from_columns(&columns).try_inverse()
 }
 
-/// Refines on every level from that of the last patch down to that of the first.
+/// Refines on every level from that of the last patch down to 0.
 fn refine(
     patches: &[ReferencePatch],
     current: &Pyramid,
     start: &Vec2,
     config: &PatchSearchConfig,
 ) -> Result<PatchFit, TrackOutcome> {
-    let finest_level = patches.first().map_or(0, |patch| patch.level);
     let mut estimate = *start;
     let mut finest = None;
     for patch in patches.iter().rev() {
@@ -186,9 +182,8 @@ fn refine(
                 estimate = fit.pixel;
                 finest = Some(fit);
             }
-            // a finer level may still find it
-            Err(_) if patch.level > finest_level => {}
-            Err(failure) => return Err(failure.into()),
+            Err(failure) if patch.level == 0 => return Err(failure.into()),
+            Err(_) => {}
         }
     }
     finest.ok_or(TrackOutcome::Diverged)
@@ -221,8 +216,7 @@ fn accept(fit: PatchFit, config: &PatchSearchConfig) -> TrackOutcome {
     TrackOutcome::Tracked(fit)
 }
 
-/// A fit of a level in pixels of the finest.
-pub(super) fn finest_fit(fit: &LevelFit, level: usize) -> PatchFit {
+fn finest_fit(fit: &LevelFit, level: usize) -> PatchFit {
     let inv_scale_sq = 1.0 / (1u64 << (2 * level)) as f32;
     PatchFit {
         pixel: finest_pixel(&to_vec2(fit.centre), level),

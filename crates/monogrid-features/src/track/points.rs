@@ -1,8 +1,7 @@
 //! Pyramidal Lucas-Kanade tracking of many points from one image to another.
 
-use super::patch::finest_fit;
-use super::template::{AlignLimits, LevelFailure, PatchFit, Template, WIDE, sample};
-use crate::level_pixel;
+use super::template::{AlignLimits, LevelFailure, PatchFit, Template};
+use crate::{finest_pixel, level_pixel};
 use monogrid_geometry::Vec2;
 use monogrid_image::Pyramid;
 
@@ -19,11 +18,10 @@ pub struct TrackConfig {
     pub max_level_move_px: f32,
     /// Smallest correlation of the finest patch. Default 0.8.
     pub min_correlation: f32,
-    /// Smallest mean squared gradient of a patch in its weakest direction over the variance of the
-    /// noise of its level. A patch is not refined on levels that show less. Default 0.4.
+    /// Weakest mean squared gradient of a patch, (grey levels / px)². Default 2.
     pub min_score: f32,
-    /// Largest distance between a point and where tracking back from its match leads, px of the
-    /// finest level on which it was found; `None` does not track back. Default 1.
+    /// Largest distance between a point and where tracking back from its match leads, px;
+    /// `None` does not track back. Default 1.
     pub max_back_distance_px: Option<f64>,
 }
 
@@ -35,7 +33,7 @@ impl Default for TrackConfig {
             min_step_px: 0.01,
             max_level_move_px: 6.0,
             min_correlation: 0.8,
-            min_score: 0.4,
+            min_score: 2.0,
             max_back_distance_px: Some(1.0),
         }
     }
@@ -126,9 +124,8 @@ fn track_point(
     start: &Vec2,
     config: &TrackConfig,
 ) -> TrackOutcome {
-    let found = coarse_to_fine(reference, current, point, start, config.num_levels, config);
-    let (fit, level) = match found {
-        Ok(found) => found,
+    let fit = match coarse_to_fine(reference, current, point, start, config.num_levels, config) {
+        Ok(fit) => fit,
         Err(outcome) => return outcome,
     };
     if fit.correlation < config.min_correlation {
@@ -137,13 +134,13 @@ fn track_point(
         };
     }
     if let Some(limit) = config.max_back_distance_px {
-        // from the next coarser level: enough to slide away from a wrong match, cheap
-        let levels = config.num_levels.min(level + 2);
+        // from two levels up: enough to slide away from a wrong match, cheap
+        let levels = config.num_levels.min(2);
         match coarse_to_fine(current, reference, &fit.pixel, point, levels, config) {
             Err(outcome) => return outcome,
-            Ok((back, _)) => {
+            Ok(back) => {
                 let distance_px = (back.pixel - point).norm();
-                if distance_px > limit * (1u64 << level) as f64 {
+                if distance_px > limit {
                     return TrackOutcome::Inconsistent { distance_px };
                 }
             }
@@ -152,8 +149,8 @@ fn track_point(
     TrackOutcome::Tracked(fit)
 }
 
-/// Aligns on `num_levels` levels, down to the finest on which the patch stands out of the noise,
-/// which is told with the fit. Coarser levels on which it does not fit into the images are skipped.
+/// Aligns on `num_levels` levels; a coarse level on which the patch does not fit into the images or
+/// has no texture is skipped.
 fn coarse_to_fine(
     reference: &Pyramid,
     current: &Pyramid,
@@ -161,7 +158,7 @@ fn coarse_to_fine(
     start: &Vec2,
     num_levels: usize,
     config: &TrackConfig,
-) -> Result<(PatchFit, usize), TrackOutcome> {
+) -> Result<PatchFit, TrackOutcome> {
     let limits = AlignLimits {
         max_iterations: config.max_iterations,
         min_step: config.min_step_px,
@@ -171,44 +168,39 @@ fn coarse_to_fine(
         .min(reference.num_levels())
         .min(current.num_levels());
     let mut estimate = *start;
-    let mut finest = Err(TrackOutcome::NoTexture);
-    for level in (0..levels).rev() {
+    for level in (1..levels).rev() {
         let centre = to_f32(&level_pixel(point, level));
-        let Some(patch) = sample::<WIDE, _>(reference.level(level), centre) else {
-            finest = Err(TrackOutcome::OutOfImage);
-            continue;
-        };
-        let min_score = config.min_score * reference.noise_sigma(level).powi(2);
-        let Some(template) = Template::new(&patch, min_score) else {
+        let Some(template) = Template::sampled(reference.level(level), centre, config.min_score)
+        else {
             continue;
         };
         let guess = to_f32(&level_pixel(&estimate, level));
-        let found = template.align(current.level(level), guess, &limits);
-        match found {
-            Ok(fit) if level == 0 || fit.correlation > COARSE_CORRELATION => {
-                let fit = finest_fit(&fit, level);
-                estimate = fit.pixel;
-                finest = Ok((fit, level));
-            }
-            Ok(fit) => {
-                finest = Err(TrackOutcome::Dissimilar {
-                    correlation: fit.correlation,
-                });
-            }
-            Err(failure) => finest = Err(failure.into()),
+        if let Ok(fit) = template.align(current.level(level), guess, &limits)
+            && fit.correlation > COARSE_CORRELATION
+        {
+            estimate = finest_pixel(&to_vec2(fit.centre), level);
         }
     }
-    match finest {
-        Ok((_, level)) if level > COARSEST_RESULT => Err(TrackOutcome::NoTexture),
-        finest => finest,
+    let image = reference.levels.first().ok_or(TrackOutcome::OutOfImage)?;
+    let target = current.levels.first().ok_or(TrackOutcome::OutOfImage)?;
+    let centre = to_f32(point);
+    if super::template::sample::<{ super::template::WIDE }, _>(image, centre).is_none() {
+        return Err(TrackOutcome::OutOfImage);
     }
+    let template =
+        Template::sampled(image, centre, config.min_score).ok_or(TrackOutcome::NoTexture)?;
+    let fit = template.align(target, to_f32(&estimate), &limits)?;
+    Ok(PatchFit {
+        pixel: to_vec2(fit.centre),
+        correlation: fit.correlation,
+        residual_rms: fit.residual_rms,
+        gain: fit.gain,
+        hessian: fit.hessian,
+    })
 }
 
 /// A coarse result less alike than this is not followed.
 const COARSE_CORRELATION: f32 = 0.5;
-
-/// A patch that stands out of the noise only on coarser levels than this is not found exactly.
-const COARSEST_RESULT: usize = 2;
 
 pub(super) fn to_f32(pixel: &Vec2) -> [f32; 2] {
     [pixel.x as f32, pixel.y as f32]

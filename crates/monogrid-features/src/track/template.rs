@@ -112,6 +112,11 @@ impl Template {
         })
     }
 
+    /// The template around `centre` of an image; `None` at the border or without texture.
+    pub fn sampled(image: &GrayImage, centre: [f32; 2], min_score: f32) -> Option<Self> {
+        Self::new(&sample::<WIDE, _>(image, centre)?, min_score)
+    }
+
     /// Zero-mean normalised cross-correlation with the patch around an integer `corner`.
     #[inline]
     pub fn correlation_at(&self, image: &GrayImage, left: usize, top: usize) -> f32 {
