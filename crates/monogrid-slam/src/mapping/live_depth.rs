@@ -402,7 +402,7 @@ mod tests {
         // the first one has neighbours on one side, of which too few confirm it
         for scan in &ready[1..] {
             // the newest are seen from one side only when they take their steps
-            let share = if scan.id < 5 { 0.95 } else { 0.8 };
+            let share = if scan.id < 4 { 0.95 } else { 0.8 };
             let all = last[scan.id as usize].num_pixels as f64;
             assert!(scan.num_pixels as f64 > share * all, "{}", scan.id);
             // what a single neighbour confirms, until the others are there, is now and then wrong
