@@ -291,7 +291,9 @@ fn pixels_that_are_not_square_are_said_and_calibrations_of_both_sizes_fit() {
     assert!(is_stretched);
     let (square, is_stretched) = calibration("60 60 31.5 31.5 64 64");
     assert!(!is_stretched);
-    assert_eq!(stored, square);
+    // the first says beside it for which images the file is
+    let square = square.trim_end_matches('"');
+    assert!(stored.starts_with(square), "{stored} {square}");
 }
 
 #[test]
