@@ -20,7 +20,7 @@ pub enum TopicKind {
     Other,
 }
 
-/// Who has defined a message.
+/// Whose definition a message follows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Family {
     Ros,

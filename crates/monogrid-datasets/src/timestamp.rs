@@ -15,15 +15,20 @@ const NANOS_PER_SECOND: i128 = 1_000_000_000;
 #[must_use]
 pub fn parse_seconds(text: &str) -> Option<i64> {
     let text = text.trim();
-    let (negative, unsigned) = match text.as_bytes().first()? {
-        b'-' => (true, &text[1..]),
-        b'+' => (false, &text[1..]),
-        _ => (false, text),
-    };
+    let (negative, unsigned) = signed(text)?;
     if unsigned.len() >= 16 && unsigned.bytes().all(|b| b.is_ascii_digit()) {
         return text.parse().ok();
     }
     decimal(unsigned, negative, TimeUnit::Seconds)
+}
+
+/// Whether a number is negative, and what follows its sign; `None` where there is nothing.
+fn signed(text: &str) -> Option<(bool, &str)> {
+    Some(match text.as_bytes().first()? {
+        b'-' => (true, &text[1..]),
+        b'+' => (false, &text[1..]),
+        _ => (false, text),
+    })
 }
 
 /// Nanoseconds of an unsigned decimal number in a unit.
@@ -87,12 +92,7 @@ impl TimeUnit {
 
     /// The time that a text says in this unit, ns.
     pub(crate) fn parse(self, text: &str) -> Option<i64> {
-        let text = text.trim();
-        let (negative, unsigned) = match text.as_bytes().first()? {
-            b'-' => (true, &text[1..]),
-            b'+' => (false, &text[1..]),
-            _ => (false, text),
-        };
+        let (negative, unsigned) = signed(text.trim())?;
         decimal(unsigned, negative, self)
     }
 

@@ -86,8 +86,9 @@ impl Finished {
     /// are at hand: [`Self::final_scans`]. Where the camera was in the frames of `earlier` sessions is free too; cells have
     /// the edge of the settings, or `edge`. `done` grows with every keyframe that is put in its place, for those who wait.
     ///
-    /// # Errors A map that would exceed its memory, or depth that cannot be read back from the file
-    /// of [`Slam::spill_into`].
+    /// # Errors
+    /// A map that would exceed its memory, or depth that cannot be read back from the file of
+    /// [`Slam::spill_into`].
     pub fn maps_of(
         &mut self,
         scans: Vec<KeyframeScan>,

@@ -138,8 +138,8 @@ impl H264Frames {
         Err(failed(reason))
     }
 
-    /// Notes that a frame of this time has come: those of earlier samples come no more, unless times
-    /// were swapped.
+    /// Notes that a frame of this time has come: those of earlier samples come no more, unless
+    /// times were swapped.
     fn arrived(&mut self, time: i64) {
         if !self.awaited.remove(&time) && self.given_up.remove(&time) {
             self.missing.take_back();
@@ -162,17 +162,8 @@ impl H264Frames {
             let Some(timestamp_ns) = self.track.timing.shown_ns(time) else {
                 continue;
             };
-            let picture = picture(frame, self.space, self.track.turn);
-            let incomplete = || VideoError::frame(&self.name, self.sample, "an incomplete picture");
-            return Some(
-                picture
-                    .ok_or_else(incomplete)
-                    .map(|(image, colour)| VideoFrame {
-                        image,
-                        colour,
-                        timestamp_ns,
-                    }),
-            );
+            let shown = shown(frame, timestamp_ns, self.space, self.track.turn);
+            return Some(shown.ok_or_else(|| incomplete(&self.name, self.sample)));
         }
         None
     }
@@ -229,8 +220,8 @@ fn read_sample(file: &mut File, sample: Sample) -> std::io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// The luma of a frame in 8 bits and its colour, upright; `None` where it is not whole.
-fn picture(frame: Frame, space: ColourSpace, turn: Turn) -> Option<(Grey, Colour)> {
+/// A frame as it is shown, upright: its luma in 8 bits and its colour; `None` where it is not whole.
+fn shown(frame: Frame, timestamp_ns: i64, space: ColourSpace, turn: Turn) -> Option<VideoFrame> {
     let (width, height) = (frame.width as usize, frame.height as usize);
     let size = match frame.chroma_format {
         ChromaFormat::Yuv420 => (width.div_ceil(2), height.div_ceil(2)),
@@ -239,8 +230,16 @@ fn picture(frame: Frame, space: ColourSpace, turn: Turn) -> Option<(Grey, Colour
     let bits = frame.bit_depth.into();
     let [y, u, v] = [frame.y, frame.u, frame.v].map(|plane| in_bytes(plane, bits));
     let chroma = Chroma::new([&u, &v], size, space, turn);
-    let colour = chroma.map_or(Colour::Grey, Colour::Chroma);
-    Some((turn.apply(Grey::from_vec(width, height, y)?), colour))
+    Some(VideoFrame {
+        image: turn.apply(Grey::from_vec(width, height, y)?),
+        colour: chroma.map_or(Colour::Grey, Colour::Chroma),
+        timestamp_ns,
+    })
+}
+
+/// Why a frame is not shown that is not whole.
+fn incomplete(name: &str, number: usize) -> VideoError {
+    VideoError::frame(name, number, "an incomplete picture")
 }
 
 /// Whether a unit says that pictures may be fields, or of fields: only ffmpeg sees which of them

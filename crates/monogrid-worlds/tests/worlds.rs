@@ -51,6 +51,15 @@ fn leave_box(origin: &Vec3, direction: &Vec3, size: &Vec3) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
+const RATIONAL: Distortion = Distortion::Rational {
+    k: [0.6, -0.3, 0.1, 0.7, -0.2, 0.1],
+    p: [0.0008, -0.0002],
+};
+const DOUBLE_SPHERE: Distortion = Distortion::DoubleSphere {
+    xi: -0.2,
+    alpha: 0.6,
+};
+
 #[test]
 fn depth_equals_analytic_intersection_for_every_lens() {
     let world = bare_room();
@@ -68,14 +77,8 @@ fn depth_equals_analytic_intersection_for_every_lens() {
         Distortion::Equidistant {
             k: [0.01, -0.02, 0.003, 0.0],
         },
-        Distortion::Rational {
-            k: [0.6, -0.3, 0.1, 0.7, -0.2, 0.1],
-            p: [0.0008, -0.0002],
-        },
-        Distortion::DoubleSphere {
-            xi: -0.2,
-            alpha: 0.6,
-        },
+        RATIONAL,
+        DOUBLE_SPHERE,
     ];
     for lens in lenses {
         let camera = camera(lens);
@@ -550,14 +553,8 @@ fn the_written_calibration_is_that_of_the_camera_for_every_lens() {
         Distortion::Equidistant {
             k: [0.01, -0.02, 0.003, 0.0],
         },
-        Distortion::Rational {
-            k: [0.6, -0.3, 0.1, 0.7, -0.2, 0.1],
-            p: [0.0008, -0.0002],
-        },
-        Distortion::DoubleSphere {
-            xi: -0.2,
-            alpha: 0.6,
-        },
+        RATIONAL,
+        DOUBLE_SPHERE,
     ];
     for lens in lenses {
         let folder = tempfile::tempdir().unwrap();

@@ -6,8 +6,9 @@
 //! * one line `fx fy cx cy [omega | k1 k2 p1 p2 [k3]] width height`, in pixels;
 //! * LSD-SLAM's and PTAM's files of four lines (5 relative numbers with the FOV model's omega, or 8
 //!   numbers of OpenCV's model), and DSO's with a model name in front;
-//! * YAML of EuRoC, Kalibr, ROS (`camera_info`, and a `CameraInfo` as `topic echo` prints it), OpenCV (also
-//!   its XML), ORB-SLAM, stella and VINS, told apart by their keys; ROS' `ost.txt`; Basalt's JSON;
+//! * YAML of EuRoC, Kalibr, ROS (`camera_info`, and a `CameraInfo` as `topic echo` prints it),
+//!   OpenCV (also its XML), ORB-SLAM, stella and VINS, told apart by their keys; ROS' `ost.txt`;
+//!   Basalt's JSON;
 //! * COLMAP's `cameras.txt` and `cameras.bin` (the camera whose size is that of the images);
 //! * KITTI's `calib.txt` (first projection matrix; needs the size of the images) and the
 //!   `calib_cam_to_cam.txt` of its raw recordings.

@@ -260,10 +260,10 @@ impl Default for FillConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MappingConfig {
-    /// How much is done for the depth of final maps: `fast` refines the depth of the filter, `default`
-    /// makes depth of all pixels beside it and completes it (`dense`, `completion`, `planes`), for four
-    /// times the work; `best` does so with at least 160 planes half a pixel apart, 6 sources and twice
-    /// the witnesses, for eight times. Default `default`.
+    /// How much is done for the depth of final maps: `fast` refines the depth of the filter,
+    /// `default` makes depth of all pixels beside it and completes it (`dense`, `completion`,
+    /// `planes`), for four times the work; `best` does so with at least 160 planes half a pixel
+    /// apart, 6 sources and twice the witnesses, for eight times. Default `default`.
     pub quality: MapQuality,
     /// Edge of a cell. Default 0.05. Range [0.000001, 1000000].
     pub resolution: f64,

@@ -1,6 +1,6 @@
 //! H.264 in packets of a picture each, with start codes, as recordings of robots have it.
 
-use super::{colour_space, decode_unit, may_be_interlaced, picture};
+use super::{colour_space, decode_unit, incomplete, may_be_interlaced, shown};
 use crate::turn::Turn;
 use crate::{ColourSpace, VideoError, VideoFrame};
 use monogrid_bags::{Coded, Packets};
@@ -68,18 +68,8 @@ impl Iterator for PacketFrames {
     fn next(&mut self) -> Option<Self::Item> {
         loop {
             if let Some((frame, timestamp_ns)) = self.ready.pop_front() {
-                let picture = picture(frame, self.space, Turn::None);
-                let incomplete =
-                    || VideoError::frame(&self.name, self.packet, "an incomplete picture");
-                return Some(
-                    picture
-                        .ok_or_else(incomplete)
-                        .map(|(image, colour)| VideoFrame {
-                            image,
-                            colour,
-                            timestamp_ns,
-                        }),
-                );
+                let shown = shown(frame, timestamp_ns, self.space, Turn::None);
+                return Some(shown.ok_or_else(|| incomplete(&self.name, self.packet)));
             }
             if self.ended {
                 return None;
