@@ -44,6 +44,8 @@ pub(crate) struct Archive {
     container: Container,
     /// By their names, without `.` and `..`.
     files: BTreeMap<PathBuf, Place>,
+    /// Length of the archive, bytes.
+    stored_bytes: u64,
     /// Length of the file that a gzipped archive was decompressed to, bytes.
     decompressed_bytes: Option<u64>,
 }
@@ -154,12 +156,22 @@ impl Archive {
             path: path.to_path_buf(),
             container,
             files,
+            stored_bytes: length,
             decompressed_bytes,
         });
         let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
         open.retain(|other| other.strong_count() > 0);
         open.push(Arc::downgrade(&archive));
         Ok(archive)
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Bytes of the archive itself, however many files share them.
+    pub(crate) fn stored_bytes(&self) -> u64 {
+        self.stored_bytes
     }
 
     /// The folder of the sequence: the outermost one that holds more than another folder.

@@ -97,6 +97,9 @@ pub enum DatasetError {
         /// Why not.
         reason: String,
     },
+    /// More images than what is stored can be.
+    #[error(transparent)]
+    TooManyPixels(#[from] crate::TooManyPixels),
     /// Numbers that are not those of a camera.
     #[error("calibration {path:?}: {reason}")]
     Calibration {

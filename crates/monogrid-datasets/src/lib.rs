@@ -24,6 +24,7 @@ mod error;
 mod files;
 mod images;
 mod imu;
+mod printable;
 mod recording;
 mod scans;
 mod source;
@@ -38,12 +39,13 @@ pub use check::{FrameCheck, FrameChecker, SequenceCheck, blur};
 pub use error::DatasetError;
 pub use files::{open_file, read_file};
 pub use images::{
-    DepthCalibration, DepthRegistration, Levels, TUM_UNITS_PER_METRE, decode_depth, decode_gray,
-    decode_jpeg_luma, decode_jpeg_rgb, encode_jpeg, encode_jpeg_rgb, encode_png, encode_png_16,
-    encode_png_rgb, exif_focal_px, read_depth, read_gray, read_gray_in, read_mask, read_rgb,
-    read_rgb_in,
+    DepthCalibration, DepthRegistration, Levels, PixelBudget, TUM_UNITS_PER_METRE, TooManyPixels,
+    decode_depth, decode_gray, decode_jpeg_luma, decode_jpeg_rgb, encode_jpeg, encode_jpeg_rgb,
+    encode_png, encode_png_16, encode_png_rgb, exif_focal_px, read_depth, read_gray, read_gray_in,
+    read_mask, read_rgb, read_rgb_in,
 };
 pub use imu::{ImuCalibration, ImuFile, write_imu};
+pub use printable::{is_obeyed, printable};
 pub use recording::{
     ColourRecord, Continuation, Damage, DepthPixel, DepthRevision, EndRecord, FragmentKeyframe,
     KeyframeLink, KeyframeRecord, PoseSnapshot, ReadOptions, Record, RecordedCamera, RecordedEdge,

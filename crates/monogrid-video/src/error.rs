@@ -88,6 +88,9 @@ pub enum VideoError {
         /// What was found, and what would have been the regular end.
         reason: String,
     },
+    /// More frames than what is stored can be.
+    #[error(transparent)]
+    TooManyPixels(#[from] monogrid_datasets::TooManyPixels),
     /// A recording that cannot be read.
     #[error(transparent)]
     Recording(#[from] monogrid_bags::BagError),

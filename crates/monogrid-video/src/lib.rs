@@ -56,7 +56,7 @@ pub use monogrid_bags::is_bag as is_recording;
 pub use recording::Recorded;
 
 use kind::Kind;
-use monogrid_datasets::decode_jpeg_luma;
+use monogrid_datasets::{PixelBudget, decode_jpeg_luma};
 use monogrid_geometry::ReadoutDirection;
 use monogrid_image::Image;
 use pixels::PixelShape;
@@ -100,6 +100,8 @@ pub struct Video {
     messages: Aside<Message>,
     program: Program,
     clock: Clock,
+    /// What the frames may show together; `None` for what comes as it happens.
+    budget: Option<PixelBudget>,
     ended: bool,
 }
 
@@ -390,6 +392,7 @@ impl Video {
                 begun,
                 messages,
                 program,
+                budget: stored_bytes(path).map(|bytes| PixelBudget::of_video(path, bytes)),
                 ended: false,
             }),
             Err(error) => {
@@ -475,6 +478,27 @@ impl Video {
     }
 }
 
+impl Video {
+    /// The frame, if there is room for it.
+    fn spend(&mut self, frame: VideoFrame) -> Result<VideoFrame, VideoError> {
+        if let Some(budget) = &mut self.budget {
+            budget.spend(frame.image.width(), frame.image.height())?;
+        }
+        Ok(frame)
+    }
+}
+
+/// Bytes of a file, or of the files in a folder; `None` of anything else, which may be endless.
+fn stored_bytes(path: &Path) -> Option<u64> {
+    let metadata = std::fs::metadata(path).ok()?;
+    if !metadata.is_dir() {
+        return metadata.is_file().then_some(metadata.len());
+    }
+    let files = std::fs::read_dir(path).ok()?;
+    let files = files.filter_map(|entry| std::fs::metadata(entry.ok()?.path()).ok());
+    Some(files.filter(|f| f.is_file()).map(|f| f.len()).sum())
+}
+
 impl Iterator for Video {
     type Item = Result<VideoFrame, VideoError>;
 
@@ -488,6 +512,7 @@ impl Iterator for Video {
             Waited::Item(Message::Begun(_)) | Waited::Ended | Waited::Interrupted => None,
             Waited::TooLong(limit) => Some(Err(stalled(&self.name, limit))),
         };
+        let item = item.map(|item| item.and_then(|frame| self.spend(frame)));
         self.ended = match &item {
             None => true,
             Some(Err(error)) => !error.is_single_frame(),

@@ -1,15 +1,24 @@
 //! Image files, read one after the other in a thread of their own.
 
 use crate::video_source::VideoItem;
-use monogrid_datasets::{FrameEntry, Levels, read_gray_in};
+use monogrid_datasets::{FrameEntry, Levels, PixelBudget, read_gray_in};
+use monogrid_image::Image;
 use monogrid_pipeline::Unusable;
 use monogrid_video::{Aside, Patience, Sink, Waited};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// The images of these files in their order, which use so much of 16 bits; `cpu_ns` hears of the
-/// CPU time of reading them.
+/// The image, if there is room for it.
+pub fn within<T: Copy>(budget: &mut PixelBudget, image: Image<T>) -> Result<Image<T>, Unusable> {
+    let spent = budget.spend(image.width(), image.height());
+    spent
+        .map(|()| image)
+        .map_err(|error| Unusable::BrokeOff(error.to_string()))
+}
+
+/// The images of these files in their order, which use so much of 16 bits and have so many pixels at
+/// most; `cpu_ns` hears of the CPU time of reading them.
 pub fn read_files<'a>(
-    (files, levels): (Vec<FrameEntry>, Levels),
+    (files, levels, mut budget): (Vec<FrameEntry>, Levels, PixelBudget),
     patience: Patience,
     cpu_ns: &'a AtomicU64,
 ) -> Box<dyn Iterator<Item = VideoItem> + Send + 'a> {
@@ -18,7 +27,9 @@ pub fn read_files<'a>(
         for file in files {
             let image = read_gray_in(&file.path, levels);
             let image = image.map_err(|error| Unusable::Unreadable(error.to_string()));
-            if !sink.put((file.index, file.timestamp_ns, image)) {
+            let image = image.and_then(|image| within(&mut budget, image));
+            let is_last = matches!(image, Err(Unusable::BrokeOff(_)));
+            if !sink.put((file.index, file.timestamp_ns, image)) || is_last {
                 return;
             }
         }

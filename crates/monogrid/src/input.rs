@@ -45,8 +45,8 @@ impl Images {
         colours: Option<&'a FrameColours>,
     ) -> Box<dyn Iterator<Item = VideoItem> + Send + 'a> {
         match self {
-            Self::Files(_) => {
-                let files = (frames.to_vec(), reading.levels);
+            Self::Files(dataset) => {
+                let files = (frames.to_vec(), reading.levels, dataset.pixel_budget());
                 read_files(files, reading.patience, &reading.cpu_ns)
             }
             Self::Video(video) => video.frames(colours),
@@ -162,7 +162,10 @@ impl RawInput {
         if let Images::Video(video) = &self.images {
             return Ok((video.size, video.direction));
         }
-        let first = first_image(&self.frames, &self.reading)?;
+        let first = match &self.images {
+            Images::Files(dataset) => first_image(&self.frames, &self.reading, dataset)?,
+            _ => return Err(Failure::input("the source has no frames")),
+        };
         let size = (first.width(), first.height());
         Ok((size, ReadoutDirection::of_size(size)))
     }
@@ -479,11 +482,19 @@ fn chosen<T: Clone>(frames: &[T], args: &SourceArgs) -> Vec<T> {
 }
 
 /// The first image that can be decoded, for the size.
-fn first_image(frames: &[FrameEntry], reading: &Reading) -> Result<GrayImage, Failure> {
+fn first_image(
+    frames: &[FrameEntry],
+    reading: &Reading,
+    dataset: &Dataset,
+) -> Result<GrayImage, Failure> {
     let cpu_ns = AtomicU64::new(0);
     let tried = frames.len().min(MAX_UNREADABLE_IN_A_ROW);
     let mut first_error = None;
-    let files = (frames[..tried].to_vec(), reading.levels);
+    let files = (
+        frames[..tried].to_vec(),
+        reading.levels,
+        dataset.pixel_budget(),
+    );
     for (.., image) in read_files(files, reading.patience, &cpu_ns) {
         match image {
             Ok(image) => return Ok(image),

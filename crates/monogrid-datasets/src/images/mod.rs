@@ -1,5 +1,6 @@
 //! Decoding and encoding of images, and depth images.
 
+mod budget;
 mod decode;
 mod depth;
 mod encode;
@@ -10,6 +11,7 @@ mod others;
 mod raster;
 mod register;
 
+pub use budget::{PixelBudget, TooManyPixels};
 pub(crate) use decode::decode_png_luma8;
 pub use decode::{
     decode_gray, decode_jpeg_luma, decode_jpeg_rgb, read_gray, read_gray_in, read_mask, read_rgb,

@@ -4,8 +4,8 @@ use super::{Continuation, Damage, PoseSnapshot};
 use super::{
     DepthPixel, EndRecord, KeyframeRecord, Record, RecordedCamera, RecordingReader, SessionInfo,
 };
-use crate::DatasetError;
 use crate::submap::{is_submap, is_submap_table, read_recording, read_single};
+use crate::{DatasetError, PixelBudget};
 use monogrid_geometry::{Camera, Distortion, Sim3};
 use monogrid_image::Image;
 use std::collections::BTreeMap;
@@ -97,11 +97,24 @@ impl Recording {
         path: &Path,
     ) -> Result<Self, DatasetError> {
         let mut newest = Newest::default();
+        let mut budget = PixelBudget::of_recording(path, reader.length());
         for record in reader.by_ref() {
-            newest.take(record?);
+            let record = record?;
+            spend(&mut budget, &record)?;
+            newest.take(record);
         }
         newest.into_recording(reader.damage(), path)
     }
+}
+
+/// Takes the image of a record out of what those of its recording may show.
+pub(crate) fn spend(budget: &mut PixelBudget, record: &Record) -> Result<(), DatasetError> {
+    if let Record::Keyframe(KeyframeRecord { image, .. }) = record
+        && let Some(image) = image
+    {
+        budget.spend(image.width(), image.height())?;
+    }
+    Ok(())
 }
 
 /// The newest record of each kind.

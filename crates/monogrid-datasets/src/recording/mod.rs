@@ -18,7 +18,7 @@ pub use continuation::{
 pub use reader::{Damage, RecordingReader};
 pub use writer::RecordingWriter;
 
-pub(crate) use assemble::Newest;
+pub(crate) use assemble::{Newest, spend};
 pub(crate) use format::{
     Bytes, KIND_KEYFRAME, KIND_KEYFRAME_OF_CAMERA, KIND_POSES, decode_camera, decode_record,
     encode_camera, numbers_of_pose, pose_of_numbers,

@@ -111,6 +111,12 @@ impl<R: Read + Seek> RecordingReader<R> {
         self.whole_until
     }
 
+    /// Bytes of the file.
+    #[must_use]
+    pub fn length(&self) -> u64 {
+        self.length
+    }
+
     /// What was lost so far; complete once the iteration ended.
     #[must_use]
     pub fn damage(&self) -> Damage {

@@ -18,8 +18,9 @@ use crate::archive::{self, Archive};
 use crate::calibration::Images;
 use crate::files::is_file;
 use crate::timestamp::TimeUnit;
-use crate::{Calibration, DatasetError, DepthCalibration, TUM_UNITS_PER_METRE};
+use crate::{Calibration, DatasetError, DepthCalibration, PixelBudget, TUM_UNITS_PER_METRE};
 use monogrid_geometry::Camera;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -174,6 +175,23 @@ impl Dataset {
         dataset.warnings.extend(archive.note());
         dataset.archive = Some(archive);
         Ok(dataset)
+    }
+
+    /// What its images may show together. One that is listed many times counts once, and so do files of an archive that
+    /// lie in one another.
+    #[must_use]
+    pub fn pixel_budget(&self) -> PixelBudget {
+        let paths = self.frames.iter().map(|frame| &frame.path);
+        let paths: BTreeSet<&PathBuf> = paths.chain(self.depths.iter().map(|d| &d.path)).collect();
+        let (path, stored_bytes) = match &self.archive {
+            Some(archive) => (archive.path(), archive.stored_bytes()),
+            None => {
+                let lengths = paths.into_iter().map(std::fs::metadata);
+                let lengths = lengths.map(|file| file.map_or(0, |file| file.len()));
+                (self.root.as_path(), lengths.sum())
+            }
+        };
+        PixelBudget::of_images(path, stored_bytes)
     }
 
     /// The calibration that lies in the source; `None` when there is none.

@@ -1,8 +1,8 @@
 //! A run that is read from its submaps.
 
 use super::{ENDING, SUBMAP_TABLE, SubmapReader, SubmapTable};
-use crate::recording::Newest;
-use crate::{Damage, DatasetError, PoseSnapshot, ReadOptions, Record, Recording};
+use crate::recording::{Newest, spend};
+use crate::{Damage, DatasetError, PixelBudget, PoseSnapshot, ReadOptions, Record, Recording};
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -42,10 +42,14 @@ pub(crate) fn read_recording(
     let mut newest = Newest::default();
     let mut world = BTreeMap::new();
     for entry in &table.submaps {
-        let mut reader = SubmapReader::open(&folder.join(entry.file.file_name()))?;
+        let path = folder.join(entry.file.file_name());
+        let mut budget = PixelBudget::of_recording(&path, length_of(&path));
+        let mut reader = SubmapReader::open(&path)?;
         world.extend(entry.world_from_keyframes(&mut reader)?);
         for record in reader.records(options) {
-            match record? {
+            let record = record?;
+            spend(&mut budget, &record)?;
+            match record {
                 // those within the submap
                 Record::Poses(_) => {}
                 record => newest.take(record),
@@ -63,8 +67,11 @@ pub(crate) fn read_recording(
 pub(crate) fn read_single(file: &Path, options: ReadOptions) -> Result<Recording, DatasetError> {
     let mut reader = SubmapReader::open(file)?;
     let mut newest = Newest::default();
+    let mut budget = PixelBudget::of_recording(file, length_of(file));
     for record in reader.records(options) {
-        match record? {
+        let record = record?;
+        spend(&mut budget, &record)?;
+        match record {
             Record::Poses(_) | Record::Continuation(_) | Record::End(_) => {}
             record => newest.take(record),
         }
@@ -79,4 +86,9 @@ pub(crate) fn read_single(file: &Path, options: ReadOptions) -> Result<Recording
         keyframe.id = id;
     }
     Ok(recording)
+}
+
+/// Bytes of a file; 0 of none, which is said by who opens it.
+fn length_of(path: &Path) -> u64 {
+    std::fs::metadata(path).map_or(0, |file| file.len())
 }

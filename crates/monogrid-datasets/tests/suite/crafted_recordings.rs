@@ -284,3 +284,37 @@ fn depth_pixels_outside_the_image_are_dropped() {
     let recording = read(&file_of_size(64, 48, &[Record::Keyframe(far)])).expect("whole");
     assert_eq!(recording.num_invalid_pixels, 1);
 }
+
+#[test]
+fn images_show_no_more_than_their_recording_can_have_stored() {
+    const SIZE: (usize, usize) = (2048, 1024);
+    // noise in the first rows, so that each is believed by itself
+    let noise = |x: usize, y: usize| ((x * SIZE.1 + y) as u32).wrapping_mul(2_654_435_761) >> 24;
+    let image = Image::from_fn(
+        SIZE.0,
+        SIZE.1,
+        |x, y| if y < 20 { noise(x, y) as u8 } else { 0 },
+    );
+    let keyframe = |id| {
+        Record::Keyframe(KeyframeRecord {
+            id,
+            frame_index: id.into(),
+            timestamp_ns: id.into(),
+            camera: None,
+            image: Some(image.clone()),
+            pixels: Vec::new(),
+        })
+    };
+    let file = |count| {
+        file_of_size(
+            SIZE.0,
+            SIZE.1,
+            &(0..count).map(keyframe).collect::<Vec<_>>(),
+        )
+    };
+    assert_eq!(read(&file(1)).expect("one").keyframes.len(), 1);
+    let four = file(4);
+    assert!(four.len() < 400_000, "{}", four.len());
+    let error = read(&four).expect_err("eight million pixels");
+    assert!(matches!(error, DatasetError::TooManyPixels(_)), "{error}");
+}

@@ -5,6 +5,7 @@ use monogrid_datasets::{
     DEFAULT_FPS, Dataset, DatasetError, Layout, SourceOptions, encode_png, read_gray,
 };
 use monogrid_geometry::{Camera, Distortion, Pinhole};
+use monogrid_image::Image;
 use std::fs;
 use std::io::Read as _;
 use std::path::Path;
@@ -788,4 +789,45 @@ fn a_tar_file_that_is_cut_within_a_file_is_refused() {
     fs::write(&path, &bytes[..second + image.len() / 2]).expect("writable");
     let error = open(&path).expect_err("cut").to_string();
     assert!(error.contains("cut off"), "{error}");
+}
+
+/// Pixels that a source may show beyond those of any source.
+fn more_pixels(dataset: &Dataset) -> usize {
+    let mut budget = dataset.pixel_budget();
+    budget.spend(1 << 27, 1).expect("as any source");
+    let more = (0..).find(|_| budget.spend(1, 1).is_err());
+    more.expect("no source may show everything")
+}
+
+#[test]
+fn what_images_may_show_follows_from_what_is_stored_once() {
+    let root = folder();
+    for name in ["1.png", "2.png", "3.png"] {
+        image(&root.path().join(name));
+    }
+    let length = |name: &str| {
+        let file = fs::metadata(root.path().join(name));
+        file.expect("a file").len() as usize
+    };
+    let one = length("1.png");
+    let dataset = open(root.path()).expect("a folder");
+    assert_eq!(more_pixels(&dataset), 256 * 3 * one);
+    // one that is listed again and again is one file
+    let list = "0.0 1.png\n0.1 2.png\n0.2 1.png\n0.3 1.png\n0.4 1.png\n";
+    fs::write(root.path().join("rgb.txt"), list).expect("writable");
+    let dataset = open(root.path()).expect("a list");
+    assert_eq!(dataset.frames.len(), 5);
+    assert_eq!(more_pixels(&dataset), 256 * 2 * one);
+    // an archive counts as it is, whatever its entries claim
+    let path = root.path().join("a.zip");
+    let mut zip = zip::ZipWriter::new(fs::File::create(&path).expect("writable"));
+    let deflated = zip::write::SimpleFileOptions::default();
+    for name in ["1.png", "2.png"] {
+        zip.start_file(name, deflated).expect("an entry");
+        let plain = encode_png(&Image::from_fn(500, 500, |_, _| 0));
+        std::io::Write::write_all(&mut zip, &plain).expect("writable");
+    }
+    zip.finish().expect("writable");
+    let dataset = open(&path).expect("an archive");
+    assert_eq!(more_pixels(&dataset), 256 * length("a.zip"));
 }

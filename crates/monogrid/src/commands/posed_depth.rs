@@ -3,12 +3,13 @@
 use crate::depth_images::registered_depth;
 use crate::failure::{Classify, Failure};
 use monogrid_datasets::{
-    Dataset, DepthCalibration, DepthEntry, DepthRegistration, SourceOptions, TimedPose,
-    read_trajectory,
+    Dataset, DepthCalibration, DepthEntry, DepthRegistration, PixelBudget, SourceOptions,
+    TimedPose, read_trajectory,
 };
 use monogrid_geometry::{Pinhole, Se3};
 use monogrid_image::{GrayImage, Undistorter, WorkingSize};
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 
 /// Times farther apart than this do not belong together.
 const MAX_POSE_DISTANCE_NS: u64 = 20_000_000;
@@ -20,6 +21,7 @@ pub struct PosedDepthFolder {
     calibration: DepthCalibration,
     registration: DepthRegistration,
     poses: Vec<TimedPose>,
+    budget: Mutex<PixelBudget>,
     /// Intrinsics of the depth that [`Self::read`] returns.
     pub pinhole: Pinhole,
 }
@@ -66,6 +68,7 @@ impl PosedDepthFolder {
         let ((width, height), pinhole) = (undistorter.size(), *undistorter.pinhole());
         Ok(Self {
             registration: DepthRegistration::new(&calibration, &pinhole, width, height),
+            budget: Mutex::new(dataset.pixel_budget()),
             dataset,
             calibration,
             poses,
@@ -91,6 +94,11 @@ impl PosedDepthFolder {
 
     /// Depth along the optical axis, metres, NaN where unknown.
     pub fn read(&self, entry: &DepthEntry) -> Result<GrayImage, Failure> {
+        let camera = &self.calibration.camera;
+        let mut budget = self.budget.lock().unwrap_or_else(PoisonError::into_inner);
+        let spent = budget.spend(camera.width, camera.height);
+        spent.bad_input()?;
+        drop(budget);
         registered_depth(&entry.path, &self.calibration, &self.registration)
     }
 }

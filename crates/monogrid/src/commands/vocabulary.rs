@@ -6,7 +6,7 @@ use crate::failure::{Classify, CommandResult, Failure};
 use crate::output::{Inputs, OutputFile};
 use clap::Args;
 use indicatif::ProgressBar;
-use monogrid_datasets::{Dataset, DatasetError, SourceOptions, read_gray};
+use monogrid_datasets::{Dataset, DatasetError, PixelBudget, SourceOptions, read_gray};
 use monogrid_features::{
     Descriptor, FeatureConfig, FeatureExtractor, PlaceVocabulary, VocabularyConfig,
     VocabularyProgress,
@@ -16,6 +16,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 /// `monogrid vocabulary`.
 #[derive(Debug, Args)]
@@ -65,12 +66,15 @@ pub fn execute(args: &VocabularyArgs) -> CommandResult {
     // images in an archive can be read as long as these live
     let datasets = args.images.iter().map(open);
     let datasets = datasets.collect::<Result<Vec<_>, _>>()?;
-    let paths = image_paths(&datasets, args.every.get());
+    let budgets = datasets.iter().map(Dataset::pixel_budget);
+    let budgets: Vec<Mutex<PixelBudget>> = budgets.map(Mutex::new).collect();
+    let files = image_files(&datasets, &budgets, args.every.get());
+    let paths: Vec<PathBuf> = files.iter().map(|(path, _)| path.clone()).collect();
     let inputs = Inputs::default()
         .and_all("an image", &paths)
         .and_all("a list of images", &args.images);
     let output = OutputFile::new(&args.out, args.write.force, &inputs)?;
-    let images = describe(&paths)?;
+    let images = describe(&files)?;
     let config = VocabularyConfig {
         max_words: args.words,
         max_samples: args.samples,
@@ -109,28 +113,38 @@ pub fn execute(args: &VocabularyArgs) -> CommandResult {
     })
 }
 
+/// An image file, and what the images of its source may show together.
+type ImageFile<'a> = (PathBuf, &'a Mutex<PixelBudget>);
+
 /// The images to learn from, in the order of the folders.
-fn image_paths(datasets: &[Dataset], every: usize) -> Vec<PathBuf> {
-    let of_one = |dataset: &Dataset| {
+fn image_files<'a>(
+    datasets: &[Dataset],
+    budgets: &'a [Mutex<PixelBudget>],
+    every: usize,
+) -> Vec<ImageFile<'a>> {
+    let of_one = |(dataset, budget): (&Dataset, &'a Mutex<PixelBudget>)| {
         let frames = dataset.frames.iter().step_by(every);
-        frames
-            .map(|frame| frame.path.clone())
-            .collect::<Vec<PathBuf>>()
+        let files = frames.map(|frame| (frame.path.clone(), budget));
+        files.collect::<Vec<ImageFile>>()
     };
-    datasets.iter().flat_map(of_one).collect()
+    datasets.iter().zip(budgets).flat_map(of_one).collect()
 }
 
 /// The descriptors of each image.
-fn describe(paths: &[PathBuf]) -> Result<Vec<Vec<Descriptor>>, Failure> {
+fn describe(files: &[ImageFile]) -> Result<Vec<Vec<Descriptor>>, Failure> {
     let extractor = FeatureExtractor::new(FeatureConfig::default());
-    let bar = ProgressBar::new(paths.len() as u64);
-    let describe = |path: &PathBuf| -> Result<Vec<Descriptor>, DatasetError> {
-        let pyramid = Pyramid::new(read_gray(path)?, NUM_LEVELS);
+    let bar = ProgressBar::new(files.len() as u64);
+    let describe = |(path, budget): &ImageFile| -> Result<Vec<Descriptor>, DatasetError> {
+        let image = read_gray(path)?;
+        let mut budget = budget.lock().unwrap_or_else(PoisonError::into_inner);
+        budget.spend(image.width(), image.height())?;
+        drop(budget);
+        let pyramid = Pyramid::new(image, NUM_LEVELS);
         let features = extractor.extract(&pyramid, None);
         bar.inc(1);
         Ok(features.iter().map(|f| f.descriptor).collect())
     };
-    let images: Result<Vec<_>, _> = paths.par_iter().map(describe).collect();
+    let images: Result<Vec<_>, _> = files.par_iter().map(describe).collect();
     bar.finish_and_clear();
     images.bad_input()
 }
