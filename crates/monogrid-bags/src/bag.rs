@@ -12,6 +12,7 @@ use monogrid_messages::RosMessage;
 use monogrid_messages::sensor_msgs::{CameraInfo, CompressedImage, Image};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Messages from the first image on that are looked at for topics where no index says them: some
 /// seconds of a robot.
@@ -306,7 +307,16 @@ impl Bag {
     pub(crate) fn messages(&self) -> Messages {
         let parts = self.parts.clone().into_iter();
         Box::new(parts.flat_map(|part| {
-            messages_of(&part).unwrap_or_else(|error| Box::new(std::iter::once(Err(error))))
+            let messages = messages_of(&part);
+            let messages = messages.unwrap_or_else(|error| Box::new(std::iter::once(Err(error))));
+            let unpacker = Arc::new(part.unpacker());
+            messages.map(move |message| {
+                let unpacker = Arc::clone(&unpacker);
+                message.map(|message| Raw {
+                    unpacker,
+                    ..message
+                })
+            })
         }))
     }
 }

@@ -7,6 +7,7 @@ use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Most bytes of a record: an image of 8K in colour is a tenth of it.
 const MAX_BYTES: u64 = 1 << 30;
@@ -16,7 +17,7 @@ const MAX_BYTES: u64 = 1 << 30;
 const CHUNK_BYTES: u64 = 32 << 20;
 const CHUNK_GROWTH: u64 = 8;
 
-/// Bytes that may come out of the chunks of a file, and how many more for each byte that went in.
+/// Bytes that may come out of all that is compressed in a file, and how many more for each of its bytes.
 const FILE_BYTES: u64 = 256 << 20;
 const FILE_GROWTH: u64 = 64;
 
@@ -37,22 +38,43 @@ pub fn block(input: &mut impl Read, length: u64) -> Result<Vec<u8>, String> {
     Ok(bytes)
 }
 
-/// Decompresses the chunks of one file, and sees to it that neither one of them nor all together grow without bound.
+/// Decompresses the chunks or messages of one file, and sees to it that neither one of them nor all together grow
+/// without bound.
 #[derive(Debug, Default)]
 pub struct Unpacker {
-    /// Bytes of all chunks so far, and what was in them.
-    packed_bytes: u64,
-    unpacked_bytes: u64,
+    /// Bytes of the file as it is stored: what is compressed once more in it counts no more than it does.
+    stored_bytes: u64,
+    /// Bytes that have come out so far.
+    unpacked_bytes: AtomicU64,
 }
 
 impl Unpacker {
+    pub fn of_file(stored_bytes: u64) -> Self {
+        Self {
+            stored_bytes,
+            unpacked_bytes: AtomicU64::new(0),
+        }
+    }
+
+    /// Counts what comes out.
+    fn count(&self, bytes: u64) -> Result<(), String> {
+        let all = self
+            .unpacked_bytes
+            .fetch_add(bytes, Ordering::Relaxed)
+            .saturating_add(bytes);
+        let most = FILE_GROWTH.saturating_mul(self.stored_bytes);
+        let most = most.saturating_add(FILE_BYTES);
+        if all > most {
+            return Err(format!(
+                "what is compressed in a file of {} bytes holds {all} or more, expected at most {most}",
+                self.stored_bytes
+            ));
+        }
+        Ok(())
+    }
+
     /// What is in a chunk that claims so many bytes.
-    pub fn unpacked(
-        &mut self,
-        compression: &str,
-        data: &[u8],
-        size: u64,
-    ) -> Result<Vec<u8>, String> {
+    pub fn unpacked(&self, compression: &str, data: &[u8], size: u64) -> Result<Vec<u8>, String> {
         let packed = data.len() as u64;
         let most = (CHUNK_BYTES + CHUNK_GROWTH * packed).min(MAX_BYTES);
         if size > most {
@@ -60,16 +82,17 @@ impl Unpacker {
                 "a chunk of {packed} bytes claims to hold {size}, expected at most {most}"
             ));
         }
-        self.packed_bytes += packed;
-        self.unpacked_bytes += size;
-        let most = FILE_BYTES + FILE_GROWTH * self.packed_bytes;
-        if self.unpacked_bytes > most {
-            return Err(format!(
-                "chunks of {} bytes claim to hold {}, expected at most {most}",
-                self.packed_bytes, self.unpacked_bytes
-            ));
-        }
+        self.count(size)?;
         unpacked(compression, data, size)
+    }
+
+    /// What is in a message that was compressed by itself.
+    pub fn unpacked_message(&self, data: &[u8]) -> Result<Vec<u8>, String> {
+        // where there was too much already, nothing more comes out
+        self.count(0)?;
+        let bytes = unpacked_message(data)?;
+        self.count(bytes.len() as u64)?;
+        Ok(bytes)
     }
 }
 
@@ -101,8 +124,7 @@ fn unpacked(compression: &str, data: &[u8], size: u64) -> Result<Vec<u8>, String
     Ok(bytes)
 }
 
-/// A message that was compressed by itself.
-pub fn unpacked_message(data: &[u8]) -> Result<Vec<u8>, String> {
+fn unpacked_message(data: &[u8]) -> Result<Vec<u8>, String> {
     let most = CHUNK_BYTES + CHUNK_GROWTH * data.len() as u64;
     let decoder = ruzstd::decoding::StreamingDecoder::new(data)
         .map_err(|error| format!("a message is not zstd: {error}"))?;
@@ -194,11 +216,42 @@ mod tests {
     #[test]
     fn many_chunks_do_not_grow_without_bound_either() {
         let chunk = zeros(32 << 20);
-        let mut unpacker = Unpacker::default();
-        let mut unpack = || unpacker.unpacked("bz2", &chunk, 32 << 20);
+        let unpacker = Unpacker::default();
+        let unpack = || unpacker.unpacked("bz2", &chunk, 32 << 20);
         let count = std::iter::from_fn(|| unpack().ok()).count();
         assert_eq!(count, 8, "256 MiB");
         let error = unpack().unwrap_err();
-        assert!(error.contains("chunks of"), "{error}");
+        assert!(error.contains("file of 0 bytes holds"), "{error}");
+        // a file of 512 kB may hold 32 MiB more
+        let larger = Unpacker::of_file(1 << 19);
+        let unpack = || larger.unpacked("bz2", &chunk, 32 << 20);
+        assert_eq!(std::iter::from_fn(|| unpack().ok()).count(), 9);
+    }
+
+    /// Zeros as zstd: four bytes for 128 kB of them.
+    fn zstd_zeros(blocks: u32) -> Vec<u8> {
+        const BLOCK: u32 = 1 << 17;
+        let mut frame = vec![0x28, 0xb5, 0x2f, 0xfd, 0, 7 << 3];
+        for block in 1..=blocks {
+            let head = BLOCK << 3 | 1 << 1 | u32::from(block == blocks);
+            frame.extend(&head.to_le_bytes()[..3]);
+            frame.push(0);
+        }
+        frame
+    }
+
+    #[test]
+    fn messages_that_are_compressed_one_by_one_do_not_grow_without_bound_either() {
+        let unpacker = Unpacker::default();
+        let message = zstd_zeros(8 * 16);
+        assert!(message.len() < 1000);
+        let unpack = || unpacker.unpacked_message(&message);
+        assert_eq!(std::iter::from_fn(|| unpack().ok()).count(), 16);
+        let error = unpack().unwrap_err();
+        assert!(error.contains("expected at most 268435456"), "{error}");
+        let error = Unpacker::default()
+            .unpacked_message(&zstd_zeros(8 * 33))
+            .unwrap_err();
+        assert!(error.contains("a message of"), "{error}");
     }
 }

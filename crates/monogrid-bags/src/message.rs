@@ -1,6 +1,6 @@
 //! Messages as they lie in a recording, and what is in them.
 
-use crate::chunks::unpacked_message;
+use crate::chunks::Unpacker;
 use crate::part::ZSTD_MAGIC;
 use crate::topic::{Topic, TopicKind};
 use monogrid_messages::cdr::{self, ByteOrder};
@@ -43,6 +43,8 @@ pub struct Raw {
     pub wire: Option<Wire>,
     /// Nothing of topics that nobody looks at.
     pub data: Vec<u8>,
+    /// Of the file that it lies in.
+    pub unpacker: Arc<Unpacker>,
 }
 
 impl Raw {
@@ -53,6 +55,7 @@ impl Raw {
             log_ns,
             wire,
             data: if is_kept { data.to_vec() } else { Vec::new() },
+            unpacker: Arc::default(),
         }
     }
 
@@ -60,7 +63,7 @@ impl Raw {
     pub fn bytes(&self) -> Result<Cow<'_, [u8]>, String> {
         // CDR begins with a zero
         if self.wire == Some(Wire::Cdr) && self.data.starts_with(ZSTD_MAGIC) {
-            return unpacked_message(&self.data).map(Cow::Owned);
+            return self.unpacker.unpacked_message(&self.data).map(Cow::Owned);
         }
         Ok(Cow::Borrowed(&self.data))
     }

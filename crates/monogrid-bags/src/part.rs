@@ -1,6 +1,6 @@
 //! The files that a recording is made of, and how they are read.
 
-use crate::chunks::unpacked_file;
+use crate::chunks::{Unpacker, unpacked_file};
 use crate::error::BagError;
 use crate::{mcap, ros1, sqlite};
 use std::fs::File;
@@ -82,6 +82,11 @@ impl Part {
         Ok(Input { file, at: 0 })
     }
 
+    /// For what is compressed in it, which is bounded by the bytes that are stored.
+    pub fn unpacker(&self) -> Unpacker {
+        Unpacker::of_file(std::fs::metadata(&self.path).map_or(0, |file| file.len()))
+    }
+
     /// The name without what numbers the part and says how it is stored: `drive` of
     /// `drive_2.db3.zstd`.
     fn stem(&self) -> String {
@@ -121,6 +126,14 @@ pub struct Input {
 }
 
 impl Input {
+    #[cfg(test)]
+    pub fn of(file: File) -> Self {
+        Self {
+            file: Arc::new(file),
+            at: 0,
+        }
+    }
+
     /// Bytes of all of it.
     pub fn length(&self) -> io::Result<u64> {
         Ok(self.file.metadata()?.len())

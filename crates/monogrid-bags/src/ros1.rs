@@ -85,7 +85,7 @@ pub fn messages(part: &Part) -> Result<Messages, BagError> {
     let mut records = Ros1Messages {
         file,
         connections: HashMap::new(),
-        unpacker: Unpacker::default(),
+        unpacker: part.unpacker(),
     };
     Ok(in_chunks(path, move |messages| records.read_on(messages)))
 }

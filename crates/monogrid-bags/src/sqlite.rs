@@ -154,12 +154,15 @@ pub struct Rows {
     leaf: (Vec<u8>, Vec<usize>),
     /// Every page belongs to the tree once.
     pages_left: u32,
+    /// Rows do not share bytes: together they have no more than the file.
+    bytes_left: u64,
 }
 
 impl Rows {
     fn new(database: Database, root: u32) -> Self {
         Self {
             pages_left: database.num_pages,
+            bytes_left: u64::from(database.num_pages) * database.page_bytes as u64,
             database,
             waiting: vec![root],
             leaf: (Vec::new(), Vec::new()),
@@ -208,6 +211,10 @@ impl Rows {
         let cut = "a row ends outside its page";
         let (length, after) = varint(page, cell).ok_or(cut)?;
         let (number, start) = varint(page, after).ok_or(cut)?;
+        self.bytes_left = self
+            .bytes_left
+            .checked_sub(length)
+            .ok_or("rows of more bytes than the file has: some lie in others")?;
         let bytes = self.database.payload(page, start, length)?;
         let values = values(&bytes).ok_or("a row ends within its values")?;
         Ok((number.cast_signed(), values))
@@ -326,5 +333,46 @@ mod tests {
         for cut in 0..row.len() {
             assert!(values(&row[..cut]).is_none(), "{cut}");
         }
+    }
+
+    /// A file of two pages: the table of tables, and a table whose cells are all the same one.
+    fn rows_in_one_another(count: usize) -> Vec<u8> {
+        const PAGE: usize = 512;
+        let leaf = |cell: &[u8], count: usize, head: usize| {
+            let mut page = vec![0; PAGE];
+            let start = PAGE - cell.len();
+            page[start..].copy_from_slice(cell);
+            page[head] = LEAF;
+            page[head + 3..head + 5].copy_from_slice(&(count as u16).to_be_bytes());
+            for k in 0..count {
+                let at = head + 8 + 2 * k;
+                page[at..at + 2].copy_from_slice(&(start as u16).to_be_bytes());
+            }
+            page
+        };
+        // texts of five bytes and of one, a number of one
+        let types = [6, 23, 15, 15, 1, 15];
+        let table = [&types[..], b"table", b"t", b"t", &[2], b"x"].concat();
+        let table = [&[table.len() as u8, 1], table.as_slice()].concat();
+        let mut file = leaf(&table, 1, HEADER_BYTES);
+        file[..MAGIC.len()].copy_from_slice(MAGIC);
+        file[16..18].copy_from_slice(&(PAGE as u16).to_be_bytes());
+        // one of fifty bytes
+        let row = [&[52, 1, 2, 112][..], &[7; 50]].concat();
+        file.extend(leaf(&row, count, 0));
+        file
+    }
+
+    #[test]
+    fn rows_that_lie_in_one_another_end_where_the_file_would() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), rows_in_one_another(40)).unwrap();
+        let input = Input::of(std::fs::File::open(file.path()).unwrap());
+        let rows = Database::open(input).unwrap().table("t").unwrap();
+        let (whole, broken): (Vec<_>, Vec<_>) = rows.partition(Result::is_ok);
+        // a file of 1024 bytes, rows of 52
+        assert_eq!(whole.len(), 19);
+        let error = broken.into_iter().next().unwrap().unwrap_err();
+        assert!(error.contains("more bytes than the file"), "{error}");
     }
 }

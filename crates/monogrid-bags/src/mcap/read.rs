@@ -79,7 +79,7 @@ pub fn messages(part: &Part) -> Result<Messages, BagError> {
     let mut records = McapMessages {
         file: Summed::new(BufReader::with_capacity(1 << 18, part.open()?)),
         declared: Declared::default(),
-        unpacker: Unpacker::default(),
+        unpacker: part.unpacker(),
     };
     records
         .expect_magic()
