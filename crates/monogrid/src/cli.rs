@@ -275,7 +275,9 @@ mod tests {
             let plain: Vec<&str> = text.split("\x1b[").collect();
             let rest = plain.iter().skip(1).all(|part| part.contains('m'));
             assert!(
-                rest && !text.replace("\x1b[", "").contains(crate::say::is_obeyed),
+                rest && !text
+                    .replace("\x1b[", "")
+                    .contains(monogrid_datasets::is_obeyed),
                 "{text:?}"
             );
             assert!(

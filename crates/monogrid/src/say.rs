@@ -5,7 +5,7 @@
 //!
 //! Names of files, topics and frames come from outside and may hold what a terminal obeys. All text goes through [`printable`].
 
-use std::borrow::Cow;
+pub use monogrid_datasets::printable;
 use std::fmt::{self, Arguments, Write as _};
 use std::io::{self, Write};
 use std::sync::OnceLock;
@@ -24,31 +24,6 @@ pub fn out(text: Arguments) {
 /// Text to standard error; nothing if nobody reads it.
 pub fn err(text: Arguments) {
     let _ = write_printable(io::stderr().lock(), text);
-}
-
-/// Text without what a terminal would obey: control characters but for line feed and tab, and characters that turn the direction
-/// of writing, each as `\u` and four hexadecimal digits. JSON stays the same JSON.
-#[must_use]
-pub fn printable(text: &str) -> Cow<'_, str> {
-    if !text.contains(is_obeyed) {
-        return Cow::Borrowed(text);
-    }
-    let mut safe = String::with_capacity(text.len() + 16);
-    for c in text.chars() {
-        if is_obeyed(c) {
-            // a string takes everything
-            let _ = write!(safe, "\\u{:04x}", u32::from(c));
-        } else {
-            safe.push(c);
-        }
-    }
-    Cow::Owned(safe)
-}
-
-/// Whether a terminal does something else with a character than showing it.
-pub fn is_obeyed(c: char) -> bool {
-    let turns = matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
-    turns || c.is_control() && !matches!(c, '\n' | '\t')
 }
 
 fn write_printable(mut to: impl Write, text: Arguments) -> io::Result<()> {
@@ -133,7 +108,7 @@ mod tests {
             let json = json.unwrap();
             let read: Vec<String> = serde_json::from_str(&printable(&json)).unwrap();
             assert_eq!(read, names);
-            assert!(!printable(&json).contains(is_obeyed));
+            assert!(!printable(&json).contains(monogrid_datasets::is_obeyed));
         }
     }
 

@@ -6,7 +6,8 @@ from collections import Counter
 
 import ray
 
-from .driver import Batch, printable, run
+from .driver import Batch, run
+from .terminal import printable
 
 
 def arguments() -> argparse.Namespace:
@@ -39,7 +40,8 @@ def main() -> None:
     batch = Batch(lines, args.out, args.program, args.each, args.timeout, retry, args.cpus, args.retries, args.scratch)
     records = run(batch)
     classes = Counter(record["class"] for record in records.values())
-    print(printable(f"{len(records)} recordings in {args.out}: ") + ", ".join(f"{count} {name}" for name, count in sorted(classes.items())))
+    counts = ", ".join(f"{count} {name}" for name, count in sorted(classes.items()))
+    print(printable(f"{len(records)} recordings in {args.out}: {counts}"))
     planned = len({line for line in lines if line.strip() and not line.startswith("#")})
     sys.exit(0 if len(records) >= planned else 1)
 

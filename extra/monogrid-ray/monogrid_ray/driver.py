@@ -6,7 +6,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import unicodedata
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import ray
 from .places import Store, is_url
 from .scratch import Unsafe, private_folder
 from .task import Job, Task, carry_out, finished, own_place
+from .terminal import printable
 
 #: Memory that a run is expected to take while nothing is known, bytes.
 FIRST_GUESS = 1_000_000_000
@@ -65,7 +65,7 @@ def plan(batch: Batch) -> list[Task]:
         command = [batch.program, "batch", str(listed), "--out", out, "--dry-run", "--json", *each]
         ended = subprocess.run(command, capture_output=True, text=True, check=False)
     if ended.returncode != 0:
-        raise SystemExit(ended.stderr.strip() or f"{batch.program} ended with {ended.returncode}")
+        raise SystemExit(printable(ended.stderr.strip() or f"{batch.program} ended with {ended.returncode}"))
     return [task_of(planned, sources, batch.scratch) for planned in json.loads(ended.stdout)]
 
 
@@ -87,13 +87,6 @@ def task_of(planned: dict, sources: dict[str, str], scratch: str) -> Task:
     source = sources[listed]
     local = own_place(name, listed, scratch) if is_url(source) else listed
     return Task(name, source, local, "\t".join(options), planned)
-
-
-def printable(text: str) -> str:
-    """Text as a terminal may have it: names come from outside, and what it would obey is shown instead."""
-    turns = "\u061c\u200e\u200f\u2028\u2029\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
-    is_obeyed = lambda c: c in turns or unicodedata.category(c) == "Cc" and c not in "\n\t"
-    return "".join(f"\\u{ord(c):04x}" if is_obeyed(c) else c for c in text)
 
 
 def job_of(batch: Batch) -> Job:

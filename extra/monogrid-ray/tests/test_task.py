@@ -24,6 +24,7 @@ from monogrid_ray import scratch as scratch_folder  # noqa: E402
 from monogrid_ray.places import Store  # noqa: E402
 from monogrid_ray.scratch import Unsafe  # noqa: E402
 from monogrid_ray.task import Job, Task, carry_out, finished  # noqa: E402
+from monogrid_ray.terminal import printable  # noqa: E402
 
 PROGRAM = """#!{python}
 import json, pathlib, sys, time
@@ -185,3 +186,8 @@ def test_nothing_planted_in_it_is_followed(place, link, planted):
     with pytest.raises(Unsafe, match=r"is a link|not a file of ours"):
         carry_out(task(place, "a", 1), job(place))
     assert victim.read_text() == "precious" if is_file else not any(victim.iterdir())
+
+
+def test_what_a_terminal_obeys_is_shown() -> None:
+    said = printable("s3://a/\x1b[2J\u202e\x9b31m: class \x07 of Küche\n")
+    assert said == "s3://a/\\u001b[2J\\u202e\\u009b31m: class \\u0007 of Küche\n"

@@ -46,10 +46,21 @@ fn main() -> ExitCode {
     match url.and_then(|url| follow(&url, file.as_deref())) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("monogrid-rerun: {error}");
+            eprintln!("monogrid-rerun: {}", printable(&error.to_string()));
             ExitCode::FAILURE
         }
     }
+}
+
+/// Text as a terminal may have it: answers and addresses come from outside, and what it would obey is shown instead.
+fn printable(text: &str) -> String {
+    let turns = |c| matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    let is_obeyed = |c: char| turns(c) || c.is_control() && !matches!(c, '\n' | '\t');
+    let shown = text.chars().map(|c| match is_obeyed(c) {
+        true => format!("\\u{:04x}", u32::from(c)),
+        false => c.to_string(),
+    });
+    shown.collect()
 }
 
 /// The address on standard input.
@@ -88,4 +99,15 @@ fn follow(url: &str, file: Option<&Path>) -> Result<(), Box<dyn Error>> {
     // what was shown is kept, however it ended
     recording.flush_blocking()?;
     outcome
+}
+
+#[cfg(test)]
+mod tests {
+    use super::printable;
+
+    #[test]
+    fn what_a_terminal_obeys_is_shown() {
+        let said = printable("HTTP/1.1 404 \x1b[2J\u{9b}31m\u{202e}\r Küche\n");
+        assert_eq!(said, "HTTP/1.1 404 \\u001b[2J\\u009b31m\\u202e\\u000d Küche\n");
+    }
 }

@@ -4,7 +4,7 @@ use anyhow::Context as _;
 use clap::Parser;
 use futures::channel::mpsc;
 use futures::{StreamExt, future, pin_mut};
-use monogrid_datasets::{Calibration, ImuCalibration, read_transform};
+use monogrid_datasets::{Calibration, ImuCalibration, printable, read_transform};
 use monogrid_geometry::{Se3, Sim3, Vec3};
 use monogrid_inertial::Imu;
 use monogrid_pipeline::Settings;
@@ -16,6 +16,8 @@ use monogrid_ros2::settings::read_settings;
 use monogrid_ros2::topics::MapTopics;
 use monogrid_ros2::tracking::{PosePublisher, Tracking};
 use monogrid_ros2::work::{Counts, way_to_work};
+use std::fmt::Display;
+use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 use std::thread;
@@ -23,8 +25,27 @@ use std::thread;
 /// News that may wait for the thread of the maps: those of some seconds.
 const NEWS_AHEAD: usize = 256;
 
-fn main() -> anyhow::Result<()> {
-    let args = Args::parse();
+fn main() -> ExitCode {
+    let args = match Args::try_parse() {
+        Ok(args) => args,
+        // the help of the program, which holds nothing from outside
+        Err(help) if !help.use_stderr() => help.exit(),
+        Err(error) => return failed(&error, 2),
+    };
+    match run(args) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => failed(&format_args!("Error: {error:?}"), 1),
+    }
+}
+
+/// Says why: names of files and topics come from outside, and a terminal must not obey them.
+#[allow(clippy::print_stderr, reason = "a program that ends says why")]
+fn failed(error: &dyn Display, code: u8) -> ExitCode {
+    eprintln!("{}", printable(&error.to_string()));
+    ExitCode::from(code)
+}
+
+fn run(args: Args) -> anyhow::Result<()> {
     let calibration = args.calibration.as_deref();
     let calibration = calibration.map(|path| Calibration::read(path, None));
     let calibration = calibration.transpose()?;

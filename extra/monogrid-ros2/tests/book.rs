@@ -48,3 +48,27 @@ fn options_that_the_chapter_names_exist() {
     }
     assert_eq!(MAX_MESSAGE_BYTES, 4_000_000, "the chapter says 4 MB");
 }
+
+#[test]
+fn what_a_terminal_obeys_is_only_shown() {
+    let said = |arguments: &[&str]| {
+        let program = std::process::Command::new(env!("CARGO_BIN_EXE_monogrid-ros2"));
+        let ended = { program }.args(arguments).output().unwrap();
+        (
+            ended.status.code(),
+            String::from_utf8(ended.stderr).unwrap(),
+        )
+    };
+    for (arguments, code) in [
+        (&["--calibration", "/nothing\x1b[2J\u{202e}.txt"][..], 1),
+        (&["--metres-per-unit", "\x1b]0;title\x07"], 2),
+    ] {
+        let (ended, said) = said(arguments);
+        assert_eq!(ended, Some(code), "{said}");
+        assert!(!said.contains(monogrid_datasets::is_obeyed), "{said:?}");
+        assert!(
+            said.contains("\\u{1b}") || said.contains("\\u001b"),
+            "{said}"
+        );
+    }
+}
