@@ -55,7 +55,7 @@ impl Failure {
     }
 
     /// Writes the message to standard error and returns the exit code.
-    fn report(&self) -> u8 {
+    pub fn report(&self) -> u8 {
         let (code, error) = match self {
             Self::Running(error) => (1, error),
             Self::Input(error) => (2, error),
@@ -85,7 +85,8 @@ pub fn render(error: &anyhow::Error) -> String {
 }
 
 impl Outcome {
-    fn code(self) -> u8 {
+    /// What the process ends with.
+    pub fn code(self) -> u8 {
         match self {
             Self::Done => 0,
             Self::NotTracked | Self::Apart => 3,

@@ -615,6 +615,45 @@ fn an_interrupt_saves_everything() {
     assert!(out.join("global.ot").exists());
 }
 
+#[cfg(unix)]
+#[test]
+fn an_interrupt_while_depth_is_made_dense_saves_what_there_is() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    let mut command = program();
+    command
+        .arg("run")
+        .arg(small_sequence())
+        .arg("--out")
+        .arg(&out);
+    // large images, of which dense depth takes long
+    let large = ["--size", "1280x960", "--max-frames", "40"];
+    command.args(["--seed-depth", "dataset"]).args(large);
+    command.stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    let mut said = BufReader::new(child.stderr.take().unwrap()).lines();
+    let begins = said.find(|line| line.as_ref().unwrap().contains("depth and maps of"));
+    begins.expect("the end of the run").unwrap();
+    common::interrupt(&child);
+    let said: Vec<String> = said.map(Result::unwrap).collect();
+    assert_eq!(child.wait().unwrap().code(), Some(4), "{said:?}");
+    assert!(
+        said.last().unwrap().contains("makes one of all"),
+        "{said:?}"
+    );
+    let text = fs::read_to_string(out.join("summary.json")).unwrap();
+    let summary: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(summary["status"], "interrupted");
+    assert_eq!(summary["frames"], 40);
+    let path = fs::read_to_string(out.join("trajectory.txt")).unwrap();
+    assert!(path.lines().count() > 30, "{path}");
+    let map = monogrid([Path::new("info"), &out.join("global.ot")]);
+    assert_eq!(code(&map), 0, "{}", stderr(&map));
+    // everything in it is known as ours
+    let again = run(small_sequence(), &out, &["--max-frames", "20"]);
+    assert_ne!(code(&again), 2, "{}", stderr(&again));
+}
+
 #[test]
 fn an_inertial_sensor_makes_results_metric_and_level() {
     let dir = tempfile::tempdir().unwrap();

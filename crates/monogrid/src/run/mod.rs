@@ -27,6 +27,7 @@ pub mod outputs;
 mod progress;
 pub mod recorder;
 pub mod report;
+mod salvage;
 pub mod sensed;
 pub mod sessions;
 mod submaps;

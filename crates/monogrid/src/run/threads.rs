@@ -4,11 +4,13 @@ use super::RunSettings;
 use super::frames::FrameRow;
 use super::live::Viewer;
 use super::recorder::Recorder;
+use super::salvage::Salvage;
 use super::sessions::Continued;
 use super::tracking::{EarlyEnd, Tracking};
 use crate::colours::ColourSource;
 use crate::failure::{Classify, Failure};
 use crate::input::Input;
+use crate::interrupt::INTERRUPTED;
 use crate::output::OutputFolder;
 use crate::usage::process_cpu;
 use monogrid_datasets::SessionInfo;
@@ -48,13 +50,16 @@ pub struct Tracked {
     pub readout_ms: f64,
 }
 
+/// Of a run that is not interrupted.
+static NEVER: AtomicBool = AtomicBool::new(false);
+
 /// Tracks all frames, records keyframes and grows the maps.
 pub fn track(
     input: &Input,
     folder: &Arc<OutputFolder>,
     settings: &RunSettings,
     viewer: Option<&mut Viewer>,
-    interrupted: &AtomicBool,
+    salvage: Option<&Salvage>,
 ) -> Result<Tracked, Failure> {
     let session = session_info(input, settings)?;
     let process_before = process_cpu();
@@ -80,6 +85,8 @@ pub fn track(
     if let Some(viewer) = &viewer {
         pipeline.listen(viewer.ear()).map_err(Failure::running)?;
     }
+    // what nobody watches is a part of something larger, which looks for interrupts itself
+    let interrupted = salvage.map_or(&NEVER, |_| &INTERRUPTED);
     let places = (input, folder.path());
     let colours = frame_colours.as_deref();
     let mut tracking = Tracking::begin((pipeline, viewer, colours), settings, places, interrupted);
@@ -92,7 +99,7 @@ pub fn track(
             Duration::ZERO
         }
     };
-    tracking.finish(reading + input.reading_cpu(), process_before)
+    tracking.finish(reading + input.reading_cpu(), process_before, salvage)
 }
 
 /// Shows the run while it goes on, if that is wanted.

@@ -5,6 +5,7 @@ use super::frame_log::FrameLog;
 use super::frames::{FrameFate, FrameRow};
 use super::live::Viewer;
 use super::progress::Progress;
+use super::salvage::Salvage;
 use super::threads::{CpuTimes, Tracked};
 use crate::doubts::CalibrationCheck;
 use crate::failure::{Failure, render};
@@ -299,9 +300,14 @@ impl<'a> Tracking<'a> {
         mut self,
         reading: Duration,
         process_before: Duration,
+        salvage: Option<&Salvage>,
     ) -> Result<Tracked, Failure> {
         self.progress.finish();
         let rows = self.rows.finish()?;
+        if let Some(salvage) = salvage {
+            let size = self.pipeline.preparation().size();
+            salvage.keep(self.pipeline.slam(), size, rows.len());
+        }
         self.early_end = self.early_end.take().or_else(|| self.end_of_source(&rows));
         let doubts = self.doubts(&rows);
         let limit = self.settings.memory_limit;

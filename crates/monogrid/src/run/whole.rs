@@ -6,6 +6,7 @@ use super::live::Viewer;
 use super::outputs::{self, Ground, Playback, Surface};
 use super::progress::watched;
 use super::report::{Reference, ReportInput, write_page};
+use super::salvage::Salvage;
 use super::sensed::{Sensed, sense};
 use super::sessions::{RECORDING, tracked_frame};
 use super::summary::{Summary, is_metric, unit_name};
@@ -16,7 +17,7 @@ use crate::colours::Colours;
 use crate::explorer::{SemiDense, ShownKeyframe};
 use crate::failure::{Failure, Outcome};
 use crate::input::{Images, Input};
-use crate::interrupt::{self, INTERRUPTED};
+use crate::interrupt;
 use crate::memory;
 use crate::output::OutputFolder;
 use crate::surface::{CellColours, ColouredScan};
@@ -88,7 +89,8 @@ fn run_watched(
 ) -> Result<Finished, Failure> {
     let config = settings.config.to_toml()?;
     folder.write("config.toml", &config)?;
-    let mut tracked = track(input, folder, settings, viewer, &INTERRUPTED)?;
+    let salvage = Salvage::watch(&input.name, folder, settings)?;
+    let mut tracked = track(input, folder, settings, viewer, Some(&salvage))?;
     let scans = final_depth(&mut tracked, settings);
     let mut looked = Looked::at(&tracked, &scans, align, input, settings);
     let (known, not_compared) = known_path(input, align, &tracked, &mut looked.frame);
@@ -354,15 +356,21 @@ fn final_depth(tracked: &mut Tracked, settings: &RunSettings) -> Vec<KeyframeSca
         }
     };
     let what = ("final depth", count);
-    let made = attempt(|| {
-        let work = |done: &AtomicUsize| tracked.run.final_scans(done);
-        watched(what, settings.show_progress, look, work)
-    });
-    let scans = made.unwrap_or_else(|message| {
-        let failed = EarlyEnd::Failed(format!("the final depth failed: {message}"));
-        tracked.early_end = Some(failed);
-        tracked.run.filter_scans()
-    });
+    let scans = match tracked.early_end {
+        // nobody waits for better depth
+        Some(EarlyEnd::Interrupted) => tracked.run.filter_scans(),
+        _ => {
+            let made = attempt(|| {
+                let work = |done: &AtomicUsize| tracked.run.final_scans(done);
+                watched(what, settings.show_progress, look, work)
+            });
+            made.unwrap_or_else(|message| {
+                let failed = EarlyEnd::Failed(format!("the final depth failed: {message}"));
+                tracked.early_end = Some(failed);
+                tracked.run.filter_scans()
+            })
+        }
+    };
     tracked.cpu.mapping += process_cpu() - before;
     leave_room(tracked, limit);
     scans

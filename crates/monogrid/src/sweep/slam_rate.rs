@@ -11,7 +11,6 @@ use crate::run::threads::track;
 use monogrid_image::GrayImage;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 /// SLAM with one way of mapping.
@@ -86,7 +85,7 @@ fn run_once(job: &RateJob, entry: Entry) -> Result<Rate, Failure> {
         ..RunSettings::new(config, job.threads)
     };
     let begin = Instant::now();
-    let tracked = track(job.input, &folder, &settings, None, &AtomicBool::new(false))?;
+    let tracked = track(job.input, &folder, &settings, None, None)?;
     let seconds = begin.elapsed().as_secs_f64();
     // the rates are all that is wanted of the run
     if let Some(folder) = Arc::into_inner(folder) {
