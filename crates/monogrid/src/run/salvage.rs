@@ -181,6 +181,9 @@ impl Writer {
                 })?;
                 format!("trajectory.txt and global.ot are saved in {path}, as they were; {again}")
             }
+            None if self.mapping.is_none() => {
+                format!("trajectory.txt is saved in {path}, as it was")
+            }
             None => {
                 format!("trajectory.txt is saved in {path}, as it was; there is no map: {again}")
             }
