@@ -73,8 +73,8 @@ use turn::Turn;
 /// An 8-bit grey image.
 pub type Grey = Image<u8>;
 
-/// Most pixels of a frame: 8K and a half; more is taken for damage.
-pub(crate) const MAX_PIXELS: usize = 1 << 26;
+/// Most pixels of a frame: those of 8K, of which some are in memory at once; more is taken for damage.
+pub(crate) const MAX_PIXELS: usize = 1 << 25;
 
 /// One frame.
 #[derive(Clone, Debug, PartialEq)]
