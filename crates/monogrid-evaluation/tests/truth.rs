@@ -154,3 +154,26 @@ fn bad_input_is_named() {
         })
     ));
 }
+
+#[test]
+fn triangles_that_lie_in_one_another_are_refused() {
+    let config = TruthConfig {
+        max_cells: 1 << 20,
+        ..TruthConfig::with_resolution(0.04)
+    };
+    let room = room();
+    let camera = [[1.5, 1.0, 0.8]];
+    assert!(truth_from_triangles(&room, &camera, &config).is_ok());
+    let many: Vec<Triangle> = room.iter().copied().cycle().take(24 * 100).collect();
+    let error = truth_from_triangles(&many, &camera, &config);
+    assert!(
+        matches!(
+            error,
+            Err(TruthError::TooMuchSurface {
+                max_cells: 131_072,
+                ..
+            })
+        ),
+        "{error:?}"
+    );
+}

@@ -190,3 +190,24 @@ fn a_reach_that_cannot_be_stored_is_refused() {
         );
     }
 }
+
+#[test]
+fn a_field_far_larger_than_its_map_is_refused() {
+    let config = MapConfig {
+        memory_budget_bytes: 4 << 20,
+        ..MapConfig::default()
+    };
+    let mut map = OccupancyMap::new(config).unwrap();
+    // 27 bricks, each of which is felt in some thousand others
+    for cell in 0..27 {
+        let [x, y, z] = [cell % 3, cell / 3 % 3, cell / 9].map(|n| n * 400);
+        map.set_log_odds(VoxelKey::new(x, y, z), Some(1.0)).unwrap();
+    }
+    let config = |cells: f64| DistanceConfig {
+        max_distance: cells * map.resolution(),
+        ..DistanceConfig::default()
+    };
+    assert!(DistanceField::new(&map, config(8.0), 2).is_ok());
+    let error = DistanceField::new(&map, config(60.0), 2).unwrap_err();
+    assert!(matches!(error, MapError::MemoryBudget { .. }), "{error}");
+}

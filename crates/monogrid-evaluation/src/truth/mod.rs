@@ -74,6 +74,17 @@ pub enum TruthError {
         /// Cells allowed.
         max_cells: u64,
     },
+    /// Triangles that lie in one another: marking them would take far longer than the box they lie in.
+    #[error(
+        "the triangles of the surface touch about {cells} cells, one after the other, allowed are {max_cells}; do they lie in \
+         one another? Choose a larger resolution"
+    )]
+    TooMuchSurface {
+        /// Cells that all triangles touch together.
+        cells: u64,
+        /// Cells allowed.
+        max_cells: u64,
+    },
     /// A surface without triangles or points, or a map without known cells.
     #[error("there is nothing known to make ground truth of: no surface, or only unknown cells")]
     NothingKnown,
@@ -117,12 +128,15 @@ pub struct Truth {
     pub reaches_border: bool,
 }
 
+/// Cells of the box for each one that triangles touch: a surface has far fewer, however it is folded.
+const CELLS_PER_SURFACE_CELL: u64 = 8;
+
 /// Ground truth of a surface made of triangles: occupied where a triangle touches a cell, free where
 /// a camera could have flown, else unknown. `cameras` are positions of the camera, all in the frame
 /// and unit of the surface.
 ///
 /// # Errors
-/// No triangle, one that is not finite, a box of too many cells, or no camera in free space.
+/// No triangle, one that is not finite, a box of too many cells, triangles that touch far more, or no camera in free space.
 pub fn truth_from_triangles(
     triangles: &[Triangle],
     cameras: &[[f64; 3]],
@@ -130,6 +144,14 @@ pub fn truth_from_triangles(
 ) -> Result<Truth, TruthError> {
     let corners = || triangles.iter().flatten().copied();
     let mut grid = grid_around(corners(), cameras, config)?;
+    let touched = triangles
+        .iter()
+        .map(|t| voxelize::touched_cells(t, config.resolution));
+    let cells = touched.sum::<f64>() as u64;
+    let max_cells = config.max_cells / CELLS_PER_SURFACE_CELL;
+    if cells > max_cells {
+        return Err(TruthError::TooMuchSurface { cells, max_cells });
+    }
     for triangle in triangles {
         voxelize::mark_triangle(&mut grid, triangle);
     }

@@ -27,6 +27,14 @@ pub(crate) fn mark_triangle(grid: &mut TruthGrid, triangle: &Triangle) {
     }
 }
 
+/// About how many cells a triangle touches: those along its area and along its edges.
+pub(crate) fn touched_cells(triangle: &Triangle, resolution: f64) -> f64 {
+    let [a, b, c] = triangle.map(|p| Vec3::from(p) / resolution);
+    let edges = [b - a, c - b, a - c];
+    let length: f64 = edges.iter().map(|edge| edge.norm()).sum();
+    1.0 + length + 0.5 * edges[0].cross(&edges[1]).norm()
+}
+
 /// Halves the box along its longest edge until single cells remain; drops boxes that the triangle
 /// does not touch.
 fn mark_box(grid: &mut TruthGrid, triangle: &SeparatingAxes, low: [i32; 3], high: [i32; 3]) {

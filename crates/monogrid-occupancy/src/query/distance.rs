@@ -62,6 +62,10 @@ impl Hasher for PackedHasher {
     }
 }
 
+/// Bricks of the layers together for each brick of a map that need no room in the budget of the map: distances reach beyond
+/// what is known, and far beyond it where that is scattered.
+const FIELDS_PER_BRICK: usize = 4;
+
 /// Something per brick, by packed key; only ever asked by key, never walked.
 type PerBrick<T> = HashMap<u64, T, BuildHasherDefault<PackedHasher>>;
 type Squares = [i16; BRICK_CELLS];
@@ -87,7 +91,7 @@ impl DistanceField {
     /// number.
     ///
     /// # Errors
-    /// A reach that is not positive or more than 181 cells.
+    /// A reach that is not positive or more than 181 cells, or a field far larger than what is known of its map.
     pub fn new(
         map: &OccupancyMap,
         config: DistanceConfig,
@@ -105,7 +109,10 @@ impl DistanceField {
             obstacles: PerBrick::default(),
             layers: Default::default(),
         };
-        field.follow(map, map.bricks(), threads);
+        let bricks = map.bricks();
+        let of_bricks = FIELDS_PER_BRICK * bricks.len() * size_of::<Squares>();
+        let budget = map.config().memory_budget_bytes.saturating_add(of_bricks);
+        field.follow(map, bricks, threads, budget)?;
         Ok(field)
     }
 
@@ -114,7 +121,9 @@ impl DistanceField {
     pub fn update(&mut self, map: &OccupancyMap, threads: usize) -> usize {
         let changed = map.bricks_changed_since(self.revision);
         self.revision = map.revision();
-        self.follow(map, changed, threads)
+        // where there is no limit nothing is refused
+        let changed = self.follow(map, changed, threads, usize::MAX);
+        changed.unwrap_or_default()
     }
 
     /// The revision of the map that this shows.
@@ -179,7 +188,13 @@ impl DistanceField {
         }
     }
 
-    fn follow(&mut self, map: &OccupancyMap, changed: Vec<BrickKey>, threads: usize) -> usize {
+    fn follow(
+        &mut self,
+        map: &OccupancyMap,
+        changed: Vec<BrickKey>,
+        threads: usize,
+        budget_bytes: usize,
+    ) -> Result<usize, MapError> {
         let mut dirty = Vec::new();
         for key in changed {
             let new = self.obstacles_of(map, key);
@@ -194,9 +209,29 @@ impl DistanceField {
             }
         }
         for axis in 0..3 {
-            dirty = self.follow_axis(map, axis, &dirty, threads);
+            let reached = self.reached(axis, &dirty);
+            let more_bytes = reached.len() * size_of::<Squares>();
+            let needed_bytes = self.bytes_in_memory() + more_bytes;
+            if needed_bytes > budget_bytes {
+                return Err(MapError::MemoryBudget {
+                    needed_bytes,
+                    budget_bytes,
+                });
+            }
+            dirty = self.follow_axis(map, axis, reached, threads);
         }
-        dirty.len()
+        Ok(dirty.len())
+    }
+
+    /// The bricks of a layer in which `dirty` bricks of the layer before can be felt.
+    fn reached(&self, axis: usize, dirty: &[BrickKey]) -> BTreeSet<BrickKey> {
+        let bricks = (self.reach + BRICK_EDGE - 1) / BRICK_EDGE;
+        let along = |key: &BrickKey| {
+            let key = *key;
+            (-bricks..=bricks).map(move |offset| shifted(key, axis, offset))
+        };
+        let reached = dirty.iter().flat_map(along);
+        reached.filter(|key| key.is_addressable()).collect()
     }
 
     fn obstacles_of(&self, map: &OccupancyMap, key: BrickKey) -> [u64; 8] {
@@ -215,21 +250,14 @@ impl DistanceField {
         }
     }
 
-    /// Recomputes one layer where `dirty` bricks of the layer before can be felt; returns the
-    /// bricks that came out different.
+    /// Recomputes one layer in these bricks; returns those that came out different.
     fn follow_axis(
         &mut self,
         map: &OccupancyMap,
         axis: usize,
-        dirty: &[BrickKey],
+        reached: BTreeSet<BrickKey>,
         threads: usize,
     ) -> Vec<BrickKey> {
-        let bricks = (self.reach + BRICK_EDGE - 1) / BRICK_EDGE;
-        let mut reached = BTreeSet::new();
-        for key in dirty {
-            let along = (-bricks..=bricks).map(|offset| shifted(*key, axis, offset));
-            reached.extend(along.filter(|key| key.is_addressable()));
-        }
         let mut results: Vec<(BrickKey, Option<Box<Squares>>)> =
             reached.into_iter().map(|key| (key, None)).collect();
         parallel::for_each(&mut results, threads, |_, (key, squares)| {

@@ -1,6 +1,6 @@
 //! `monogrid synth`: a synthetic dataset in TUM layout with exact depth, poses and truth map.
 
-use super::truth::{of_world, positions_along};
+use super::truth::{config_for, of_world, positions_along};
 use super::use_threads;
 use crate::args::{JsonArg, positive, readout_ms, size};
 use crate::failure::{Classify, CommandResult, Failure};
@@ -8,7 +8,6 @@ use crate::output::{Inputs, OutputFolder};
 use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use monogrid_datasets::{Calibration, read_trajectory};
-use monogrid_evaluation::TruthConfig;
 use monogrid_geometry::{Camera, Pinhole};
 use monogrid_occupancy::MapFormat;
 use monogrid_worlds::{
@@ -147,7 +146,7 @@ pub fn execute(args: &SynthArgs) -> CommandResult {
 fn write(args: &SynthArgs, folder: &OutputFolder, sequence: &SynthSequence) -> CommandResult {
     // first, because it says at once when the motion leaves the world
     let cameras = positions_along(sequence.path());
-    let config = TruthConfig::with_resolution(args.truth_resolution);
+    let config = config_for(&args.world, args.truth_resolution);
     let truth = of_world(sequence.world(), &cameras, &config)?;
     if truth.reaches_border {
         eprintln!("warning: the world is open: the outside counts as free in truth.ot");

@@ -239,11 +239,27 @@ fn of_surface(truth: Truth, made_from: String, cameras: usize) -> Made {
     (truth.grid, report)
 }
 
+/// Cells of a map that any mesh or cloud may fill, and how many more for each of its bytes: a few corners that lie far apart
+/// must not fill the memory.
+const SMALL_FILE_CELLS: u64 = 400_000_000;
+const CELLS_PER_BYTE: u64 = 400;
+
+/// The usual settings for a source: a mesh or cloud, or a built-in world, which is no file.
+pub fn config_for(source: &Path, resolution: f64) -> TruthConfig {
+    let usual = TruthConfig::with_resolution(resolution);
+    let file = std::fs::metadata(source).ok().filter(|file| file.is_file());
+    let max_cells = file.map_or(usual.max_cells, |file| {
+        let more = file.len().saturating_mul(CELLS_PER_BYTE);
+        usual.max_cells.min(SMALL_FILE_CELLS.saturating_add(more))
+    });
+    TruthConfig { max_cells, ..usual }
+}
+
 fn truth_config(args: &TruthArgs) -> TruthConfig {
     TruthConfig {
         hole_cells: args.hole_cells,
         splat_radius: args.splat_radius.unwrap_or(0.0),
-        ..TruthConfig::with_resolution(args.resolution)
+        ..config_for(&args.source, args.resolution)
     }
 }
 
