@@ -19,9 +19,9 @@ use std::path::{Component, Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 /// Endings of the files of a sequence; nothing else is listed.
-const USEFUL: [&str; 14] = [
-    "png", "jpg", "jpeg", "pgm", "ppm", "pnm", "txt", "csv", "toml", "yaml", "yml", "cfg", "xml",
-    "md",
+const USEFUL: [&str; 18] = [
+    "png", "jpg", "jpeg", "pgm", "ppm", "pnm", "tif", "tiff", "webp", "txt", "csv", "toml", "yaml",
+    "yml", "cfg", "xml", "json", "md",
 ];
 
 /// Bytes that may come out of one byte of an archive: images hardly shrink, lists by ten.
@@ -449,4 +449,29 @@ fn free_bytes(file: &File) -> Option<u64> {
         let _ = file;
         None
     };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_archive_has_so_many_entries_and_no_more() {
+        let mut listing = Listing {
+            path: Path::new("a.zip"),
+            max_bytes: 100,
+            num_bytes: 0,
+            num_entries: MAX_ENTRIES - 1,
+            files: BTreeMap::new(),
+        };
+        assert!(listing.count().is_ok());
+        let error = listing.count().expect_err("one too many").to_string();
+        assert!(error.contains("more than 1000000 files"), "{error}");
+        // nor more bytes, whatever their number
+        let place = Place::Tar(0, 0);
+        assert!(listing.add(Path::new("1.png"), 100, place).is_ok());
+        let error = listing.add(Path::new("2.png"), u64::MAX, place);
+        let error = error.expect_err("too much").to_string();
+        assert!(error.contains("more than 100 bytes"), "{error}");
+    }
 }

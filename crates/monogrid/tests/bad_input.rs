@@ -372,3 +372,25 @@ fn names_are_shown_and_never_obeyed() {
     let planned = monogrid(["batch", &list, "--out", &out, "--dry-run", "--json"]);
     assert_eq!(json(&planned)[0]["source"], folder);
 }
+
+#[test]
+fn a_source_that_shows_far_more_than_it_stores_breaks_off() {
+    let dir = tempfile::tempdir().unwrap();
+    // 12 million black pixels in 12 kB, listed again and again
+    let plain = encode_png(&Image::from_fn(3500, 3500, |_, _| 0));
+    assert!(plain.len() < 100_000, "{}", plain.len());
+    fs::write(dir.path().join("plain.png"), plain).unwrap();
+    let list: String = (0..1000).map(|k| format!("{}.0 plain.png\n", k)).collect();
+    fs::write(dir.path().join("rgb.txt"), list).unwrap();
+    let source = dir.path().display().to_string();
+    let out = dir.path().join("out").display().to_string();
+    let ended = monogrid(["run", &source, "--fov", "60", "--out", &out]);
+    assert_fails(
+        &ended,
+        1,
+        &["broke off", "shows more than", "fewer of its frames"],
+    );
+    let words = dir.path().join("words").display().to_string();
+    let ended = monogrid(["vocabulary", &source, "--out", &words]);
+    assert_fails(&ended, 2, &["shows more than"]);
+}

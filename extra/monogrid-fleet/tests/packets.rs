@@ -8,8 +8,8 @@ use monogrid_datasets::{
 use monogrid_fleet::agent::Packer;
 use monogrid_fleet::messages::{Asked, PREFIX, RunKey};
 use monogrid_fleet::packet::{
-    IDEPTH_STEP, MAX_PACKET_BYTES, PART_BYTES, PackedDepth, PackedKeyframe, Packet, PacketError,
-    RecordPart, SIGMA_STEPS_PER_OCTAVE, Unfinished, parts_of,
+    IDEPTH_STEP, MAX_PACKET_BYTES, MAX_PIXELS, PART_BYTES, PackedDepth, PackedKeyframe,
+    PackedRevision, Packet, PacketError, RecordPart, SIGMA_STEPS_PER_OCTAVE, Unfinished, parts_of,
 };
 use monogrid_fleet::packet_log::PacketLog;
 use monogrid_geometry::{Pinhole, Rotation, Sim3, Vec3};
@@ -449,5 +449,76 @@ fn names_that_could_leave_their_folder_are_refused() {
         "agents/a/12/packets/1",
     ] {
         assert_eq!(Asked::of(&format!("{PREFIX}/{nothing}")), None);
+    }
+}
+
+/// Damaged copies of a packet, whose length and checksum are right.
+fn mutant(packet: &[u8], number: u64) -> Vec<u8> {
+    // Marsaglia's xorshift: the same mutants in every run
+    let mut state = 0x9e37_79b9_7f4a_7c15_u64.wrapping_mul(number + 1);
+    let mut random = |below: usize| {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state >> 16) as usize % below.max(1)
+    };
+    let mut bytes = packet.to_vec();
+    for _ in 0..=random(3) {
+        // mostly in the first fields
+        let reach = if random(2) == 0 { 100 } else { bytes.len() };
+        let at = 16 + random(reach.min(bytes.len()) - 16);
+        match random(5) {
+            0 => bytes[at] ^= 1 << random(8),
+            1 => bytes[at] = 0xff,
+            2 => bytes[at..].iter_mut().take(9).for_each(|byte| *byte = 0xff),
+            3 => bytes.truncate(at.max(20)),
+            _ => drop(bytes.splice(at..at, [0x80; 30])),
+        }
+    }
+    let length = (bytes.len() - 16) as u32;
+    bytes[8..12].copy_from_slice(&length.to_le_bytes());
+    let checksum = crc32fast::hash(&[&bytes[4..12], &bytes[16..]].concat());
+    bytes[12..16].copy_from_slice(&checksum.to_le_bytes());
+    bytes
+}
+
+#[test]
+fn mutated_packets_are_refused_or_sane() {
+    let number = std::env::var("TORTURE_MUTANTS").unwrap_or_default();
+    let mutants: u64 = number.parse().ok().filter(|n| *n > 0).unwrap_or(1000);
+    let before = keyframe(4);
+    let revision = DepthRevision {
+        keyframe_id: 4,
+        revision: 2,
+        pixels: before.pixels.clone(),
+    };
+    let mut packets = vec![
+        Packet::Keyframe(PackedKeyframe::pack(&before, 90).unwrap()),
+        Packet::Depth(PackedRevision::pack(&revision, (80, 60))),
+    ];
+    packets.extend(parts_of(&session()).unwrap());
+    packets.extend(parts_of(&Record::Poses(poses(3, 0.5))).unwrap());
+    for packet in &packets {
+        let bytes = packet.encode().unwrap();
+        let mut refused = 0;
+        for number in 0..mutants {
+            let taken = match Packet::decode(&mutant(&bytes, number)) {
+                Ok(Packet::Keyframe(keyframe)) => keyframe.unpack().map(|keyframe| {
+                    let image = keyframe.image.unwrap();
+                    assert!(image.width() * image.height() <= MAX_PIXELS);
+                }),
+                Ok(Packet::Depth(depth)) => depth.unpack().map(|depth| {
+                    let sane = |p: &DepthPixel| p.idepth.is_finite() && p.idepth_var.is_finite();
+                    assert!(depth.pixels.iter().all(sane));
+                }),
+                Ok(Packet::Record(part)) => {
+                    let whole = Unfinished::default().after(&part, 10);
+                    whole.and_then(|whole| whole.record(&part.bytes)).map(drop)
+                }
+                Err(error) => Err(error),
+            };
+            refused += u64::from(taken.is_err());
+        }
+        assert!(refused > mutants / 10, "{refused} of {mutants}");
     }
 }

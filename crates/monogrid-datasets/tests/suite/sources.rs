@@ -831,3 +831,51 @@ fn what_images_may_show_follows_from_what_is_stored_once() {
     let dataset = open(&path).expect("an archive");
     assert_eq!(more_pixels(&dataset), 256 * length("a.zip"));
 }
+
+#[test]
+fn links_are_no_files_of_an_archive_and_of_two_names_the_first_counts() {
+    let root = folder();
+    let path = root.path().join("a.tar");
+    let mut tar = tar::Builder::new(fs::File::create(&path).expect("writable"));
+    let mut add = |name: &str, kind: tar::EntryType, content: &[u8]| {
+        let mut header = tar::Header::new_gnu();
+        header.set_size(content.len() as u64);
+        header.set_entry_type(kind);
+        if !kind.is_file() {
+            header.set_link_name("/etc/passwd").expect("a name");
+        }
+        header.set_cksum();
+        tar.append_data(&mut header, name, content)
+            .expect("writable");
+    };
+    add("1.png", tar::EntryType::Regular, &encode_png(&gray(8, 6)));
+    add("1.png", tar::EntryType::Regular, &encode_png(&gray(16, 6)));
+    add("2.png", tar::EntryType::Symlink, &[]);
+    add("3.png", tar::EntryType::Link, &[]);
+    tar.finish().expect("writable");
+    let dataset = open(&path).expect("an archive");
+    assert_eq!(names(&dataset), ["1.png"]);
+    let first = read_gray(&dataset.frames[0].path).expect("an image");
+    assert_eq!(first.width(), 8);
+}
+
+#[test]
+fn encrypted_zip_files_are_refused() {
+    let root = folder();
+    let path = root.path().join("a.zip");
+    let mut zip = zip::ZipWriter::new(fs::File::create(&path).expect("writable"));
+    zip.start_file("1.png", zip::write::SimpleFileOptions::default())
+        .expect("an entry");
+    std::io::Write::write_all(&mut zip, &encode_png(&gray(8, 6))).expect("writable");
+    zip.finish().expect("writable");
+    assert!(open(&path).is_ok());
+    // the flag in the list at the end, and in front of the file
+    let mut bytes = fs::read(&path).expect("readable");
+    for (mark, flags) in [(b"PK\x01\x02", 8), (b"PK\x03\x04", 6)] {
+        let at = bytes.windows(4).position(|four| four == mark);
+        bytes[at.expect("a header") + flags] |= 1;
+    }
+    fs::write(&path, bytes).expect("writable");
+    let error = open(&path).expect_err("encrypted").to_string();
+    assert!(error.contains("encrypted"), "{error}");
+}

@@ -2,8 +2,8 @@
 //! the program as users start it, with a limit on memory and time.
 //!
 //! It takes minutes, so that every part is ignored unless asked for. `TORTURE_SECONDS` is the time for each kind of
-//! mutated file, `TORTURE_SEED` begins another sequence of mutations, `TORTURE_KEEP` is a folder that inputs which did
-//! harm are copied to.
+//! mutated file, client or source, `TORTURE_MUTANTS` a number of them in its place, `TORTURE_SEED` begins another
+//! sequence of mutations, `TORTURE_KEEP` is a folder that inputs which did harm are copied to.
 #![cfg(unix)]
 #![allow(clippy::too_many_lines, reason = "a test tells its story in one place")]
 #![allow(
@@ -13,6 +13,7 @@
     reason = "a test may panic and talk"
 )]
 
+mod clients;
 #[path = "../common/mod.rs"]
 mod common;
 mod disks;
@@ -22,6 +23,7 @@ mod mutations;
 mod names;
 mod seeds;
 mod settings;
+mod sources;
 
 use limits::Ended;
 use std::time::Duration;

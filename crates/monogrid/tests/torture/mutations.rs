@@ -368,7 +368,7 @@ const NUMBERS: [u64; 8] = [
 
 /// A damaged copy: changed bits, bytes and numbers, cuts, repeated and removed stretches, words that are numbers and
 /// should not be.
-fn mutated(seed: &[u8], rng: &mut SmallRng) -> Vec<u8> {
+pub fn mutated(seed: &[u8], rng: &mut SmallRng) -> Vec<u8> {
     let mut bytes = seed.to_vec();
     for _ in 0..=rng.random_range(0..4) {
         if bytes.is_empty() {
@@ -446,7 +446,6 @@ fn repair_png(bytes: &mut [u8]) {
 #[test]
 #[ignore = "takes minutes; see scripts/torture.sh"]
 fn mutated_files_of_every_kind() {
-    let seconds = from_environment("TORTURE_SECONDS", 10);
     let only = std::env::var("TORTURE_ONLY").unwrap_or_default();
     let seeds = Seeds::new();
     let mask = fs::read(seeds.path("gray.pgm")).unwrap();
@@ -456,18 +455,27 @@ fn mutated_files_of_every_kind() {
     println!("| mutated file | runs | accepted | slowest | harm |\n|---|---|---|---|---|");
     let mut harmed = 0;
     for kind in kinds().iter().filter(|kind| kind.name.contains(&only)) {
-        harmed += torture(kind, &seeds, Duration::from_secs(seconds));
+        harmed += torture(kind, &seeds);
     }
     assert_eq!(harmed, 0, "see above");
 }
 
-/// Tries mutations for a time; the number of those that did harm.
-fn torture(kind: &Kind, seeds: &Seeds, time: Duration) -> usize {
+/// Whether a kind that has had so many mutants since `begin` gets one more: by their number where one is asked for, else by
+/// the time.
+pub fn wanted(runs: usize, begin: Instant) -> bool {
+    match from_environment("TORTURE_MUTANTS", 0) {
+        0 => begin.elapsed().as_secs() < from_environment("TORTURE_SECONDS", 10),
+        mutants => (runs as u64) < mutants,
+    }
+}
+
+/// Tries mutations; the number of those that did harm.
+fn torture(kind: &Kind, seeds: &Seeds) -> usize {
     let seed = fs::read(seeds.path(kind.seed)).unwrap();
     let first = from_environment("TORTURE_SEED", 1);
     let begin = Instant::now();
     let (mut runs, mut accepted, mut harmed, mut slowest) = (0_usize, 0_usize, 0, Duration::ZERO);
-    while begin.elapsed() < time {
+    while wanted(runs, begin) {
         let number = first + runs as u64;
         let mut rng = SmallRng::seed_from_u64(number);
         let mut bytes = mutated(&seed, &mut rng);

@@ -190,3 +190,112 @@ fn check_numbers(what: &'static str, numbers: &[f64]) -> Result<(), PacketError>
         Err(beyond(what, format!("{bad:e}"), expected))
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use monogrid_datasets::{
+        FragmentKeyframe, KeyframeLink, RecordedEdge, RecordedFrame, RecordedPoint, RecordedSession,
+    };
+    use monogrid_geometry::{Rotation, Se3, Vec3};
+
+    /// A pose at this place, of this scale.
+    fn pose(x: f64, scale: f64) -> Sim3 {
+        Sim3::new(scale, Rotation::identity(), Vec3::new(x, 0.0, 0.0))
+    }
+
+    /// One of each kind, with numbers that a run may have, but for those of one kind.
+    fn continuation(kind: usize, bad: f64) -> Continuation {
+        let number = |this: usize| if this == kind { bad } else { 1.0 };
+        let place = |this: usize| {
+            if this == kind {
+                pose(bad, 1.0)
+            } else {
+                pose(1.0, 1.0)
+            }
+        };
+        let mut information = [1.0; 28];
+        information[27] = number(0);
+        Continuation {
+            sessions: vec![RecordedSession {
+                source: "a".into(),
+                first_keyframe: 0,
+            }],
+            keyframes: vec![KeyframeLink {
+                id: 0,
+                parent: None,
+                gain: number(1),
+                bias: number(2),
+            }],
+            edges: vec![RecordedEdge {
+                i: 0,
+                j: 1,
+                kind: 0,
+                kernel: 0,
+                kernel_parameter: number(3),
+                i_from_j: place(4),
+                information,
+            }],
+            points: vec![RecordedPoint {
+                host: 0,
+                pixel: [1.0, number(5)],
+                idepth: [1.0, 1.0, number(6)],
+                observations: vec![(1, [number(7), 1.0])],
+            }],
+            frames: vec![RecordedFrame {
+                session: 0,
+                frame_index: 0,
+                timestamp_ns: 0,
+                keyframe: 0,
+                keyframe_from_frame: Se3::new(Rotation::identity(), Vec3::new(number(8), 0.0, 0.0)),
+            }],
+            fragments: vec![FragmentKeyframe {
+                keyframe: 0,
+                fragment: 1,
+                fragment_from_keyframe: place(9),
+            }],
+        }
+    }
+
+    #[test]
+    fn every_number_of_a_continuation_is_sane() {
+        let check = |kind, bad| check_continuation(&continuation(kind, bad), 1);
+        assert_eq!(check(99, 0.0), Ok(()));
+        for kind in 0..10 {
+            for bad in [f64::NAN, f64::INFINITY, -1e19] {
+                assert!(check(kind, bad).is_err(), "{kind}, {bad}");
+            }
+            assert_eq!(check(kind, -1e7), Ok(()), "{kind}");
+        }
+    }
+
+    #[test]
+    fn poses_reach_as_far_as_a_country_and_no_farther() {
+        let check = |x: f64, scale: f64| check_pose("a pose", &pose(x, scale)).is_ok();
+        assert!(check(MAX_COORDINATE, MAX_SCALE) && check(-MAX_COORDINATE, MAX_SCALE.recip()));
+        for (x, scale) in [(1.01e8, 1.0), (-1.01e8, 1.0), (0.0, 1.01e6), (0.0, 0.99e-6)] {
+            assert!(!check(x, scale), "{x}, {scale}");
+        }
+    }
+
+    #[test]
+    fn sessions_without_keyframes_are_few() {
+        let with = |count: usize, num_keyframes: usize| {
+            let mut many = continuation(99, 0.0);
+            many.sessions = vec![many.sessions[0].clone(); count];
+            check_continuation(&many, num_keyframes).is_ok()
+        };
+        assert!(with(1000, 0) && with(1007, 7));
+        assert!(!with(1001, 0) && !with(1008, 7));
+    }
+
+    #[test]
+    fn times_are_those_of_a_century_and_records_grow_with_keyframes() {
+        let limit = 1_i64 << 62;
+        assert!(check_time(limit).is_ok() && check_time(-limit).is_ok());
+        assert!(check_time(limit + 1).is_err() && check_time(i64::MIN).is_err());
+        assert_eq!(record_limit(0), 1 << 20);
+        assert_eq!(record_limit(2), (1 << 20) + (2 << 19));
+        assert_eq!(record_limit(u64::MAX), 512 << 20);
+    }
+}

@@ -308,6 +308,16 @@ fn no_client_keeps_others_or_the_end_waiting() {
     }
 }
 
+/// The tests above have limits of their own.
+#[test]
+fn limits_of_the_program_are_small() {
+    assert!((8..=64).contains(&LIMITS.connections));
+    assert!(LIMITS.ask <= Duration::from_secs(10));
+    assert!(LIMITS.answer <= Duration::from_secs(120));
+    assert!(LIMITS.close <= Duration::from_secs(1));
+    assert!(LAST_ANSWERS < END_WITHIN && END_WITHIN <= Duration::from_secs(1));
+}
+
 #[test]
 fn of_questions_in_a_row_one_is_answered() {
     let site = Site::new(LIMITS);

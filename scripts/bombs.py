@@ -1,0 +1,1196 @@
+#!/usr/bin/env python3
+"""Small inputs that ask for much: files of less than 1 MB that hold, or claim to hold, far more.
+
+    scripts/bombs.py PROGRAM [NAME ...]      all, or those with one of these words in their names
+
+Each is given to every command that reads its kind. None may take more than 500 MB of memory or 20 s of
+processor time, end by a signal or panic. KEEP: a folder in which the inputs stay.
+"""
+
+import bz2
+import gzip
+import hashlib
+import io
+import os
+import resource
+import signal
+import struct
+import subprocess
+import sys
+import tarfile
+import tempfile
+import time
+import zipfile
+import zlib
+from pathlib import Path
+
+MAX_BYTES = 1 << 20
+MAX_MEMORY_KB = 500_000
+MAX_SECONDS = 20
+# of time on the clock, after which a command is ended: the machine may be busy
+PATIENCE_SECONDS = 90
+
+BOMBS = {}
+
+
+def bomb(*commands):
+    """Registers a function that writes an input into a folder and returns its path; IN, OUT and DIR stand for that path, a
+    path that does not exist and the folder."""
+
+    def register(make):
+        BOMBS[make.__name__.replace("_", "-")] = (make, [command.split() for command in commands])
+        return make
+
+    return register
+
+
+# pictures
+
+
+def chunk(kind, data):
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def png(width, height, bits=8, colour=0):
+    channels = {0: 1, 2: 3, 6: 4}[colour]
+    row = bytes(1 + (width * channels * bits + 7) // 8)
+    packer = zlib.compressobj(9)
+    data = b"".join(packer.compress(row) for _ in range(height)) + packer.flush()
+    header = struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+
+
+def segment(marker, data):
+    return bytes([0xFF, marker]) + struct.pack(">H", len(data) + 2) + data
+
+
+def stuffed(bits):
+    bits += "1" * (-len(bits) % 8)
+    data = int(bits, 2).to_bytes(len(bits) // 8, "big")
+    return data.replace(b"\xff", b"\xff\x00")
+
+
+def jpeg(width, height):
+    """A plain grey one: two bits for each block."""
+    blocks = ((width + 7) // 8) * ((height + 7) // 8)
+    # one code of one bit in each table, for the value 0
+    table = lambda kind: bytes([kind]) + bytes([1] + 15 * [0]) + b"\0"
+    return (
+        b"\xff\xd8"
+        + segment(0xDB, b"\0" + bytes([1] * 64))
+        + segment(0xC0, struct.pack(">BHHB", 8, height, width, 1) + b"\1\x11\0")
+        + segment(0xC4, table(0x00))
+        + segment(0xC4, table(0x10))
+        + segment(0xDA, b"\1\1\0\0\x3f\0")
+        + bytes(blocks // 4)
+        + b"\x3f" * 0
+        + stuffed("00" * (blocks % 4) or "1")
+        + b"\xff\xd9"
+    )
+
+
+def progressive_jpeg(width, height, scans):
+    """A scan for the first coefficient, then many of which each says nothing of all blocks."""
+    blocks = ((width + 7) // 8) * ((height + 7) // 8)
+    out = (
+        b"\xff\xd8"
+        + segment(0xDB, b"\0" + bytes([1] * 64))
+        + segment(0xC2, struct.pack(">BHHB", 8, height, width, 1) + b"\1\x11\0")
+        + segment(0xC4, b"\x00" + bytes([1] + 15 * [0]) + b"\0")
+        # end of band of 2^14 blocks and more: 14 bits follow
+        + segment(0xC4, b"\x10" + bytes([1] + 15 * [0]) + b"\xe0")
+        + segment(0xDA, b"\1\1\0\0\0\x01")
+        + bytes(blocks // 8)
+        + stuffed("0" * (blocks % 8) or "1")
+    )
+    run = (1 << 15) - 1
+    bits = ("0" + "1" * 14) * (blocks // run + 1)
+    for scan in range(scans):
+        low = 0 if scan == scans - 1 else 1
+        out += segment(0xDA, b"\1\1\0" + bytes([1 + scan % 63, 1 + scan % 63, low])) + stuffed(bits)
+    return out + b"\xff\xd9"
+
+
+def webp(width, height):
+    """Lossless and plain: no bit for a pixel."""
+    bits, count = 0x2F, 8
+
+    def put(value, length):
+        nonlocal bits, count
+        bits |= value << count
+        count += length
+
+    put(width - 1, 14)
+    put(height - 1, 14)
+    put(0, 1)  # no opacity
+    put(0, 3)  # version
+    put(0, 1)  # no transform
+    put(0, 1)  # no cache of colours
+    put(0, 1)  # one group of codes
+    for _ in range(5):
+        put(1, 1)  # a simple code
+        put(0, 1)  # of one symbol
+        put(0, 1)  # of one bit
+        put(0, 1)  # 0
+    data = bits.to_bytes((count + 7) // 8, "little") + b"\0" * 8
+    data += b"\0" * (len(data) % 2)
+    body = b"WEBPVP8L" + struct.pack("<I", len(data)) + data
+    return b"RIFF" + struct.pack("<I", len(body)) + body
+
+
+def tiff(width, height, bits=8):
+    data = zlib.compress(bytes(width * height * bits // 8), 9)
+    entries = [
+        (256, 4, 1, width), (257, 4, 1, height), (258, 3, 1, bits), (259, 3, 1, 8), (262, 3, 1, 1),
+        (273, 4, 1, 8), (277, 3, 1, 1), (278, 4, 1, height), (279, 4, 1, len(data)),
+    ]
+    data += b"\0" * (len(data) % 2)
+    out = b"II*\0" + struct.pack("<I", 8 + len(data)) + data + struct.pack("<H", len(entries))
+    for tag, kind, count, value in entries:
+        out += struct.pack("<HHI", tag, kind, count) + (struct.pack("<HH", value, 0) if kind == 3 else struct.pack("<I", value))
+    return out + struct.pack("<I", 0)
+
+
+def images(folder, picture, ending, count=None):
+    count = count or max(1, min(2000, (MAX_BYTES - 60_000) // len(picture)))
+    folder = folder / "images"
+    folder.mkdir()
+    for index in range(count):
+        (folder / f"{index:04}.{ending}").write_bytes(picture)
+    return folder
+
+
+IMAGE_COMMANDS = ["check IN", "check IN --fov 60", "run IN --fov 60 --out OUT", "run IN --out OUT", "vocabulary IN --out OUT", "calibrate IN --board 9x6"]
+SEQUENCE = IMAGE_COMMANDS[:4]
+
+
+@bomb(*IMAGE_COMMANDS)
+def plain_png(folder):
+    return images(folder, png(3500, 3500), "png")
+
+
+@bomb(*SEQUENCE)
+def plain_png_of_one_bit(folder):
+    return images(folder, png(3500, 3500, 1), "png")
+
+
+@bomb("check IN --fov 60", "run IN --fov 60 --out OUT", "vocabulary IN --out OUT")
+def plain_png_in_colour_of_16_bits(folder):
+    return images(folder, png(2900, 2900, 16, 6), "png", 8)
+
+
+@bomb(*SEQUENCE)
+def plain_jpeg(folder):
+    return images(folder, jpeg(3500, 3500), "jpg")
+
+
+@bomb(*SEQUENCE)
+def jpeg_of_many_scans(folder):
+    return images(folder, progressive_jpeg(3500, 3500, 1000), "jpg")
+
+
+@bomb(*SEQUENCE)
+def plain_webp(folder):
+    return images(folder, webp(3500, 3500), "webp")
+
+
+@bomb(*SEQUENCE)
+def plain_tiff(folder):
+    return images(folder, tiff(3500, 3500, 16), "tif")
+
+
+@bomb("check IN --fov 60", "run IN --fov 60 --out OUT")
+def huge_headers(folder):
+    target = images(folder, png(16, 16), "png", 1)
+    giant = chunk(b"IHDR", struct.pack(">IIBBBBB", 2**31 - 1, 2**31 - 1, 8, 6, 0, 0, 0))
+    (target / "0001.png").write_bytes(b"\x89PNG\r\n\x1a\n" + giant)
+    (target / "0002.jpg").write_bytes(jpeg(64, 64).replace(struct.pack(">HH", 64, 64), b"\xff\xff\xff\xff"))
+    (target / "0003.pgm").write_bytes(b"P5\n4000000000 4000000000\n255\n")
+    (target / "0004.webp").write_bytes(webp(16384, 16384))
+    (target / "0005.tif").write_bytes(tiff(64, 64).replace(struct.pack("<HHII", 256, 4, 1, 64), struct.pack("<HHII", 256, 4, 1, 2**32 - 1)))
+    return target
+
+
+@bomb(*SEQUENCE)
+def list_that_repeats_an_image(folder):
+    target = images(folder, png(3500, 3500), "png", 1)
+    lines = "".join(f"{index / 30:.6f} 0000.png\n" for index in range(40_000))
+    (target / "rgb.txt").write_text(lines)
+    return target
+
+
+# archives
+
+
+@bomb(*IMAGE_COMMANDS)
+def zip_of_plain_images(folder):
+    path = folder / "a.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        for index in range(60):
+            archive.writestr(f"{index:04}.png", png(3500, 3500))
+    return path
+
+
+@bomb("check IN --fov 60", "run IN --fov 60 --out OUT")
+def zip_whose_entries_are_one(folder):
+    picture = png(3500, 3500, 1)
+    name = b"0000.png"
+    crc = zlib.crc32(picture)
+    local = struct.pack("<IHHHHHIIIHH", 0x04034B50, 20, 0, 0, 0, 33, crc, len(picture), len(picture), len(name), 0) + name + picture
+    count, central = 12_000, b""
+    for index in range(count):
+        name = b"%04d.png" % index if index < 10_000 else b"%08d.png" % index
+        central += struct.pack("<IHHHHHHIIIHHHHHII", 0x02014B50, 20, 20, 0, 0, 0, 33, crc, len(picture), len(picture), len(name), 0, 0, 0, 0, 0, 0) + name
+    path = folder / "a.zip"
+    path.write_bytes(local + central + struct.pack("<IHHHHIIH", 0x06054B50, 0, 0, count, count, len(central), len(local), 0))
+    return path
+
+
+def tar_bytes(picture, count):
+    out = io.BytesIO()
+    with tarfile.open(fileobj=out, mode="w") as archive:
+        for index in range(count):
+            info = tarfile.TarInfo(f"{index:05}.png")
+            info.size = len(picture)
+            archive.addfile(info, io.BytesIO(picture))
+    return out.getvalue()
+
+
+@bomb(*IMAGE_COMMANDS)
+def tar_of_plain_images(folder):
+    path = folder / "a.tar"
+    path.write_bytes(tar_bytes(png(3500, 3500, 1), 250))
+    return path
+
+
+@bomb(*SEQUENCE)
+def tgz_of_plain_images(folder):
+    path = folder / "a.tgz"
+    path.write_bytes(gzip.compress(tar_bytes(png(3500, 3500, 1), 10_000)))
+    return path
+
+
+@bomb("check IN --fov 60")
+def tgz_of_nothing(folder):
+    path = folder / "a.tar.gz"
+    data = gzip.compress(bytes(64 << 20))
+    path.write_bytes(data * 15)
+    return path
+
+
+@bomb("check IN --fov 60")
+def zip_of_many_names(folder):
+    path = folder / "a.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        for index in range(9_000):
+            archive.writestr(f"{index}.txt", b"")
+    return path
+
+
+# maps
+
+
+def octree(header, cells, encode):
+    """A tree with these cells (16 bits each) as leaves, in the order of OctoMap's files."""
+    out = bytearray(header)
+
+    def node(cells, depth):
+        children = {}
+        for x, y, z in cells:
+            bit = 15 - depth
+            octant = (x >> bit & 1) | (y >> bit & 1) << 1 | (z >> bit & 1) << 2
+            children.setdefault(octant, []).append((x, y, z))
+        encode(out, children, depth)
+        for octant in sorted(children):
+            if depth < 15:
+                node(children[octant], depth + 1)
+            else:
+                encode(out, None, 16)
+
+    node(cells, 0)
+    return bytes(out)
+
+
+def bt(cells):
+    def encode(out, children, depth):
+        if children is None:
+            return
+        # a free leaf: 01, an occupied one: 10 (lowest bit first), a node with children: 11
+        kind = 2 if depth == 15 else 3
+        out += sum(kind << 2 * octant for octant in children).to_bytes(2, "little")
+
+    return octree(b"# Octomap OcTree binary file\nid OcTree\nsize 1\nres 0.05\ndata\n", cells, encode)
+
+
+def ot(cells):
+    def encode(out, children, depth):
+        mask = sum(1 << octant for octant in children or {})
+        out += struct.pack("<fB", 0.85, mask)
+
+    return octree(b"# Octomap OcTree file\nid OcTree\nsize 1\nres 0.05\ndata\n", cells, encode)
+
+
+MAPS = [
+    "info IN", "convert IN OUT.bt", "convert IN OUT.ply", "convert IN OUT.mgo", "mesh IN OUT.ply", "project IN OUT.pgm",
+    "project IN OUT.pgm --min-height=-2000 --max-height 2000", "slice IN OUT", "distances IN OUT.npy",
+    "plan IN 0,0,0 1,1,1 --robot-radius 0.2", "merge IN IN --out OUT.ot", "diff IN IN", "evaluate map IN IN",
+    "evaluate paths IN IN", "crop IN OUT.ot --min=-9999,-9999,-9999 --max 9999,9999,9999", "view IN --html OUT.html",
+    "view IN --png OUT.png", "transform IN OUT.ot --sim3 DIR/turn.txt",
+]
+
+
+def write_map(folder, name, data):
+    (folder / "turn.txt").write_text("1 0.1 0.2 0.3 0.1825742 0.3651484 0.5477226 0.7302967\n")
+    path = folder / name
+    path.write_bytes(data)
+    return path
+
+
+@bomb(*MAPS)
+def bt_of_two_corners(folder):
+    return write_map(folder, "a.bt", bt([(0, 0, 0), (65535, 65535, 65535)]))
+
+
+@bomb(*MAPS)
+def ot_of_far_cells(folder):
+    cells = [(n * 97 % 65536, n * 7919 % 65536, n * 104_729 % 65536) for n in range(9000)]
+    return write_map(folder, "a.ot", ot(cells))
+
+
+@bomb(*MAPS)
+def bt_of_far_cells(folder):
+    cells = [(n * 97 % 65536, n * 7919 % 65536, n * 104_729 % 65536) for n in range(24_000)]
+    return write_map(folder, "a.bt", bt(cells))
+
+
+@bomb(*MAPS)
+def bt_of_far_cells_in_a_plane(folder):
+    cells = [(n * 97 % 65536, n * 7919 % 65536, 32_768) for n in range(24_000)]
+    return write_map(folder, "a.bt", bt(cells))
+
+
+@bomb(*MAPS)
+def bt_of_a_chessboard(folder):
+    # leaves of the last level, every second one occupied, the others free
+    header = b"# Octomap OcTree binary file\nid OcTree\nsize 1\nres 0.05\ndata\n"
+    depth = 7
+
+    def node(level):
+        return b"\x99\x66" if level == 1 else b"\xff\xff" + node(level - 1) * 8
+
+    # down to cubes of 128 cells
+    data = header + bytes([3, 0]) * (16 - depth) + node(depth)
+    return write_map(folder, "a.bt", data[:MAX_BYTES])
+
+
+@bomb(*MAPS)
+def bt_of_full_cubes(folder):
+    # nodes of 32 cells, occupied and free by turns
+    header = b"# Octomap OcTree binary file\nid OcTree\nsize 1\nres 0.05\ndata\n"
+    node = b"\xff\xff" + b"\x99\x66" * 8
+    return write_map(folder, "a.bt", header + bytes([3, 0]) * 9 + node)
+
+
+class Coder:
+    """The arithmetic coder of `.mgo` files."""
+
+    def __init__(self):
+        self.low, self.high, self.out = 0, 2**32 - 1, bytearray()
+        self.contexts = {}
+
+    def bit(self, context, bit):
+        zero = self.contexts.get(context, 2048)
+        middle = self.low + ((self.high - self.low) * zero >> 12)
+        if bit:
+            self.low = middle + 1
+            zero -= zero >> 5
+        else:
+            self.high = middle
+            zero += (4096 - zero) >> 5
+        self.contexts[context] = zero
+        while (self.low ^ self.high) >> 24 == 0:
+            self.out.append(self.high >> 24)
+            self.low = self.low << 8 & 0xFFFFFFFF
+            self.high = (self.high << 8 | 255) & 0xFFFFFFFF
+
+
+def mgo(folder, num_chunks):
+    """Columns of bricks that are occupied as a whole."""
+    origin = 1 << 20
+    header = b"MGRIDMAP" + struct.pack("<IIdffdQI", 1, 0, 0.05, -2.0, 3.5, 0.5, num_chunks * 1024, 0)
+    out = header + struct.pack("<I", zlib.crc32(header))
+    coder = Coder()
+    for index in range(1024):
+        coder.bit("uniform", 1)
+        if index == 0:
+            coder.bit("x0", 0)
+            coder.bit("c1", 1)
+            coder.bit("c2", 0)
+        else:
+            coder.bit("x", 1)
+    code = bytes(coder.out) + struct.pack(">I", coder.high)
+    for number in range(num_chunks):
+        key = (origin + number // 30 << 42) | (origin + number % 30 << 21) | (origin - 512)
+        start = bytearray()
+        while key >= 128:
+            start.append(key & 127 | 128)
+            key >>= 7
+        data = bytes(start) + bytes([key]) + bytes(1023) + code
+        head = struct.pack("<III", 1024, len(data), zlib.crc32(data))
+        out += head + struct.pack("<I", zlib.crc32(head)) + data
+    return write_map(folder, "a.mgo", out)
+
+
+@bomb(*MAPS)
+def mgo_of_full_bricks(folder):
+    return mgo(folder, 870)
+
+
+@bomb(*MAPS)
+def mgo_of_as_many_bricks_as_are_read(folder):
+    return mgo(folder, 23)
+
+
+# recordings
+
+RECORDINGS = [
+    "map IN --out OUT.ot", "map IN --out OUT.ot --quality fast", "view IN --html OUT.html", "rescale IN --scale-from factor=2 --out OUT",
+    "evaluate depth IN DIR", "merge-runs IN IN --out OUT", "sweep IN --resolutions 0.4 --out OUT", "run IN --out OUT",
+    "run --continue IN DIR --fov 60 --out OUT",
+]
+
+
+def record(kind, payload):
+    head = b"RMGK" + struct.pack("<III", kind, len(payload), zlib.crc32(payload))
+    return head + struct.pack("<I", zlib.crc32(head)) + payload
+
+
+def camera(width, height):
+    return struct.pack("<ddddII", width, width, width / 2, height / 2, width, height)
+
+
+def session(width, height):
+    return camera(width, height) + b"\0" + struct.pack("<Q", 0) + struct.pack("<III", 0, 0, 0)
+
+
+def pose(number):
+    return struct.pack("<8d", 1, number * 0.01, 0, 0, 0, 0, 0, 1)
+
+
+def keyframe(number, width, height, encoding, image, pixels):
+    out = struct.pack("<IQQ", number, number, number * 33_000_000) + bytes([encoding])
+    out += struct.pack("<III", width, height, len(image)) + image
+    return out + struct.pack("<I", len(pixels)) + b"".join(struct.pack("<HHff", *pixel) for pixel in pixels)
+
+
+def mgk(keyframes, width, height):
+    out = b"monogrid" + struct.pack("<II", 1, 0) + record(1, session(width, height))
+    for payload in keyframes:
+        out += record(2, payload)
+    poses = b"".join(struct.pack("<I", n) + pose(n) for n in range(len(keyframes)))
+    return out + record(4, struct.pack("<QI", 1, len(keyframes)) + poses)
+
+
+PIXELS = [(x * 9 % 320, x * 7 % 240, 1.0, 0.01) for x in range(200)]
+
+
+@bomb(*RECORDINGS)
+def mgk_of_plain_images(folder):
+    # as large as is believed
+    side = 1900
+    picture = png(side, side)
+    picture = picture[:-12] + chunk(b"tEXt", b"a\0" + b"b" * (side * side // 64 - len(picture))) + picture[-12:]
+    path = folder / "a.mgk"
+    path.write_bytes(mgk([keyframe(n, side, side, 2, picture, PIXELS) for n in range(16)], side, side))
+    return path
+
+
+@bomb(*RECORDINGS)
+def mgk_of_a_huge_camera(folder):
+    path = folder / "a.mgk"
+    path.write_bytes(mgk([keyframe(n, 0, 0, 0, b"", PIXELS) for n in range(300)], 65_000, 65_000))
+    return path
+
+
+@bomb(*RECORDINGS)
+def mgk_of_one_large_image(folder):
+    side = 8000
+    picture = png(side, side)
+    picture = picture[:-12] + chunk(b"tEXt", b"a\0" + b"b" * (side * side // 64 - len(picture))) + picture[-12:]
+    path = folder / "a.mgk"
+    path.write_bytes(mgk([keyframe(0, side, side, 2, picture, PIXELS)], side, side))
+    return path
+
+
+@bomb(*RECORDINGS)
+def mgk_of_far_points(folder):
+    path = folder / "a.mgk"
+    pixels = [(x, y, 1e-7, 1e-18) for x in range(0, 320, 2) for y in range(0, 240, 2)]
+    path.write_bytes(mgk([keyframe(n, 0, 0, 0, b"", pixels) for n in range(4)], 320, 240))
+    return path
+
+
+@bomb("map IN --out OUT.ot", "info IN", "view IN --html OUT.html", "map DIR/submaps.json --out OUT.ot")
+def mgs_of_deflated_depth(folder):
+    blocks, out = b"", b"mgsubmap" + struct.pack("<II", 1, 0)
+    count = 0
+    payload = session(320, 240)
+    blocks += struct.pack("<IIQII", 1, 2**32 - 1, len(out), len(payload), len(payload)) + b"\0" + hashlib.sha256(payload).digest()
+    out += payload
+    for number in range(100):
+        payload = keyframe(number, 0, 0, 0, b"", [(0, 0, 1.0, 0.01)] * 50_000)
+        packed = zlib.compress(payload, 9)
+        packed += b"\0" * max(0, len(payload) // 64 + 1 - len(packed))
+        if len(out) + len(packed) > MAX_BYTES - 20_000:
+            break
+        blocks += struct.pack("<IIQII", 2, number, len(out), len(packed), len(payload)) + b"\1" + hashlib.sha256(packed).digest()
+        out += packed
+        count += 1
+    poses = struct.pack("<QI", 1, count) + b"".join(struct.pack("<I", n) + pose(n) for n in range(count))
+    blocks += struct.pack("<IIQII", 4, 2**32 - 1, len(out), len(poses), len(poses)) + b"\0" + hashlib.sha256(poses).digest()
+    out += poses
+    directory = camera(320, 240) + b"\0" + b"\0" + bytes(16) + b"\0" + bytes(48) + struct.pack("<I", count + 2) + blocks
+    name = hashlib.sha256(directory).digest()
+    out += directory + struct.pack("<QQ", len(out), len(directory)) + name + b"mgs-end\n"
+    path = folder / f"{name.hex()}.mgs"
+    path.write_bytes(out)
+    numbers = "[1.0,0.0,0.0,0.0,0.0,0.0,0.0,1.0]"
+    entry = '{"file":"%s","bytes":%d,"keyframes":%d,"world_from_submap":%s,"moved":[]}' % (path.name, len(out), count, numbers)
+    table = '{"format":"monogrid submaps","version":1,"pose_revision":1,"submaps":[%s]}' % ",".join([entry] * 3000)
+    (folder / "submaps.json").write_text(table)
+    return path
+
+
+@bomb("info IN", "map IN --out OUT.ot")
+def submaps_json_in_itself(folder):
+    path = folder / "submaps.json"
+    path.write_text("[" * 500_000 + "]" * 500_000)
+    return path
+
+
+# bags
+
+
+def zstd_of_zeros(length):
+    blocks, left = [], length
+    while left > 0:
+        size = min(left, 1 << 17)
+        left -= size
+        blocks.append(struct.pack("<I", size << 3 | 1 << 1 | (left == 0))[:3] + b"\0")
+    # one frame, content size of 8 bytes, window of 128 kB
+    return b"\x28\xb5\x2f\xfd" + bytes([0b1100_0000, 7 << 3]) + struct.pack("<Q", length) + b"".join(blocks)
+
+
+def text(word):
+    return struct.pack("<I", len(word)) + word
+
+
+def mcap(records, chunks):
+    def op(code, body):
+        return bytes([code]) + struct.pack("<Q", len(body)) + body
+
+    out = b"\x89MCAP0\r\n" + op(1, text(b"ros2") + text(b"x"))
+    out += op(3, struct.pack("<H", 1) + text(b"sensor_msgs/msg/Image") + text(b"ros2msg") + text(b""))
+    out += op(4, struct.pack("<HH", 1, 1) + text(b"/image") + text(b"cdr") + text(b""))
+    for body in records:
+        out += op(5, struct.pack("<HIQQ", 1, 0, 5, 5) + body)
+    for compression, size, data in chunks:
+        out += op(6, struct.pack("<QQQI", 0, 0, size, 0) + text(compression) + struct.pack("<Q", len(data)) + data)
+    return out + op(15, struct.pack("<I", 0)) + op(2, bytes(20)) + b"\x89MCAP0\r\n"
+
+
+def cdr_image(width, height, data=None, claims=None):
+    out = b"\0\1\0\0" + struct.pack("<iI", 1, 0) + struct.pack("<I", 1) + b"\0"
+    out += b"\0" * (-(len(out) - 4) % 4) + struct.pack("<II", height, width) + struct.pack("<I", 6) + b"mono8\0\0"
+    out += b"\0" * (-(len(out) - 4) % 4) + struct.pack("<I", width)
+    return out + struct.pack("<I", width * height if claims is None else claims) + (data or b"")
+
+
+BAG = ["check IN --fov 60", "run IN --fov 60 --out OUT"]
+
+
+@bomb(*BAG)
+def mcap_of_zeros(folder):
+    path = folder / "a.mcap"
+    size = 32 << 20
+    path.write_bytes(mcap([], [(b"zstd", size, zstd_of_zeros(size))] * 900)[:MAX_BYTES])
+    return path
+
+
+@bomb(*BAG)
+def mcap_of_large_images(folder):
+    # an image whose pixels are in the same chunk, as zeros
+    width, height = 5700, 5700
+    head = bytes([5]) + struct.pack("<Q", 22 + len(cdr_image(width, height)) + width * height) + struct.pack("<HIQQ", 1, 0, 5, 5)
+    head += cdr_image(width, height)
+    size = len(head) + width * height
+    zeros = zstd_of_zeros(width * height)
+    raw = struct.pack("<I", len(head) << 3)[:3] + head
+    packed = b"\x28\xb5\x2f\xfd" + bytes([0b1100_0000, 7 << 3]) + struct.pack("<Q", size) + raw + zeros[14:]
+    path = folder / "a.mcap"
+    path.write_bytes(mcap([], [(b"zstd", size, packed)] * (900_000 // len(packed))))
+    return path
+
+
+def ros1(fields, data):
+    header = b"".join(struct.pack("<I", len(name) + 1 + len(value)) + name + b"=" + value for name, value in fields.items())
+    return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
+
+
+def bag(folder, content, count):
+    data = bz2.compress(content, 9)
+    record = ros1({b"op": b"\5", b"compression": b"bz2", b"size": struct.pack("<I", len(content))}, data)
+    path = folder / "a.bag"
+    path.write_bytes(b"#ROSBAG V2.0\n" + record * min(count, 900_000 // len(record)))
+    return path
+
+
+@bomb(*BAG)
+def bag_of_bz2_zeros(folder):
+    return bag(folder, bytes(30 << 20), 1000)
+
+
+def ros1_images(kind, content, count):
+    """A connection and messages."""
+    of_type = struct.pack("<I", 5 + len(kind)) + b"type=" + kind
+    out = ros1({b"op": b"\7", b"conn": bytes(4), b"topic": b"/image/compressed"}, of_type)
+    for number in range(count):
+        time = struct.pack("<II", number // 30, number % 30 * 33_000_000)
+        out += ros1({b"op": b"\2", b"conn": bytes(4), b"time": time}, struct.pack("<I", number) + time + bytes(4) + content)
+    return out
+
+
+@bomb(*BAG)
+def bag_of_plain_jpegs(folder):
+    picture = jpeg(3500, 3500)
+    content = text(b"jpeg") + text(picture)
+    return bag(folder, ros1_images(b"sensor_msgs/CompressedImage", content, (30 << 20) // len(content)), 8)
+
+
+@bomb(*BAG)
+def bag_of_tiny_images(folder):
+    content = struct.pack("<II", 8, 8) + text(b"mono8") + b"\0" + struct.pack("<I", 8) + text(bytes(64))
+    return bag(folder, ros1_images(b"sensor_msgs/Image", content, 120_000), 8)
+
+
+@bomb(*BAG)
+def bag_of_messages_of_nothing(folder):
+    return bag(folder, ros1_images(b"sensor_msgs/Image", b"", 250_000), 8)
+
+
+def sqlite(rows, overflow):
+    """Tables `topics` and `messages`; the cells of `messages` are all one, whose bytes lie in a chain of pages."""
+    size = 4096
+
+    def varint(value):
+        out = [value & 127]
+        value >>= 7
+        while value:
+            out.insert(0, value & 127 | 128)
+            value >>= 7
+        return bytes(out)
+
+    def row(number, values):
+        types, data = b"", b""
+        for value in values:
+            if isinstance(value, int):
+                types += varint(6)
+                data += struct.pack(">q", value)
+            elif isinstance(value, str):
+                types += varint(13 + 2 * len(value))
+                data += value.encode()
+            else:
+                types += varint(12 + 2 * len(value))
+                data += value
+        payload = varint(len(types) + (2 if len(types) > 126 else 1)) + types + data
+        return payload
+
+    def leaf(cells, at, offset=0):
+        page = bytearray(size)
+        page[offset] = 13
+        page[offset + 3 : offset + 5] = struct.pack(">H", at)
+        end = size
+        begin = []
+        for cell in cells:
+            end -= len(cell)
+            page[end : end + len(cell)] = cell
+            begin.append(end)
+        for index in range(at):
+            page[offset + 8 + 2 * index : offset + 10 + 2 * index] = struct.pack(">H", begin[index % len(begin)])
+        return page
+
+    def cell(number, payload, first_overflow=None):
+        head = varint(len(payload)) + varint(number)
+        usable = size
+        most, least = usable - 35, (usable - 12) * 32 // 255 - 23
+        if len(payload) <= most:
+            return head + payload, b""
+        fitting = least + (len(payload) - least) % (usable - 4)
+        local = fitting if fitting <= most else least
+        return head + payload[:local] + struct.pack(">I", first_overflow), payload[local:]
+
+    master = [
+        row(1, ["table", "topics", "topics", 2, "CREATE TABLE topics(id, name, type)"]),
+        row(2, ["table", "messages", "messages", 3, "CREATE TABLE messages(id, topic_id, timestamp, data)"]),
+    ]
+    first = leaf([cell(n + 1, payload)[0] for n, payload in enumerate(master)], 2, 100)
+    header = b"SQLite format 3\0" + struct.pack(">HBBBBBB", size, 1, 1, 0, 64, 32, 32)
+    first[: len(header)] = header
+    topics = leaf([cell(1, row(1, [1, "/image", "sensor_msgs/msg/Image", "cdr"]))[0]], 1)
+    body, rest = cell(1, row(1, [1, 1, 5, overflow]), 4)
+    messages = leaf([body], rows)
+    pages = []
+    while rest:
+        part, rest = rest[: size - 4], rest[size - 4 :]
+        following = 4 + len(pages) + 1 if rest else 0
+        pages.append(struct.pack(">I", following) + part + bytes(size - 4 - len(part)))
+    return bytes(first) + bytes(topics) + bytes(messages) + b"".join(pages)
+
+
+@bomb(*BAG)
+def db3_whose_rows_are_one(folder):
+    path = folder / "a.db3"
+    path.write_bytes(sqlite(1500, cdr_image(900, 900, bytes(900 * 900))))
+    return path
+
+
+@bomb(*BAG)
+def db3_of_zstd_messages(folder):
+    width = height = 5700
+    head = cdr_image(width, height)
+    zeros = zstd_of_zeros(width * height)
+    raw = struct.pack("<I", len(head) << 3)[:3] + head
+    packed = b"\x28\xb5\x2f\xfd" + bytes([0b1100_0000, 7 << 3]) + struct.pack("<Q", len(head) + width * height) + raw + zeros[14:]
+    path = folder / "a.db3"
+    path.write_bytes(sqlite(1500, packed))
+    return path
+
+
+@bomb(*BAG)
+def db3_that_is_zstd(folder):
+    path = folder / "a.db3.zstd"
+    data = sqlite(1500, cdr_image(900, 900, bytes(900 * 900)))
+    # the file, then zeros
+    out, at = b"", 0
+    for at in range(0, len(data), 1 << 16):
+        part = data[at : at + (1 << 16)]
+        out += struct.pack("<I", len(part) << 3)[:3] + part
+    zeros = zstd_of_zeros(1 << 30)[14:]
+    path.write_bytes(b"\x28\xb5\x2f\xfd" + bytes([0b0000_0000, 7 << 3]) + out + zeros)
+    return path
+
+
+# videos
+
+
+class Bits:
+    def __init__(self):
+        self.bits = []
+
+    def u(self, value, length):
+        self.bits.append(format(value, f"0{length}b"))
+
+    def ue(self, value):
+        length = (value + 1).bit_length()
+        self.bits.append("0" * (length - 1) + format(value + 1, "b"))
+
+    def unit(self, kind):
+        bits = "".join(self.bits) + "1"
+        bits += "0" * (-len(bits) % 8)
+        data = int(bits, 2).to_bytes(len(bits) // 8, "big")
+        out, zeros = bytearray([kind]), 0
+        for byte in data:
+            if zeros >= 2 and byte <= 3:
+                out.append(3)
+                zeros = 0
+            out.append(byte)
+            zeros = zeros + 1 if byte == 0 else 0
+        return bytes(out)
+
+
+def h264(columns, rows, references=1):
+    """Parameter sets, a plain picture and one that repeats what came before, of so many macroblocks."""
+    sps = Bits()
+    sps.u(66, 8), sps.u(0xC0, 8), sps.u(51, 8)
+    for value in (0, 0, 2, references):  # id, bits of frame numbers, order of pictures by their number, references
+        sps.ue(value)
+    sps.u(0, 1)
+    sps.ue(columns - 1), sps.ue(rows - 1)
+    sps.u(1, 1), sps.u(1, 1), sps.u(0, 1), sps.u(0, 1)
+    pps = Bits()
+    pps.ue(0), pps.ue(0), pps.u(0, 2), pps.ue(0), pps.ue(0), pps.ue(0), pps.u(0, 3)
+    pps.ue(0), pps.ue(0), pps.ue(0), pps.u(0, 3)
+    first = Bits()
+    first.ue(0), first.ue(7), first.ue(0), first.u(0, 4), first.ue(0), first.u(0, 2), first.ue(0)
+    for _ in range(columns * rows):
+        first.ue(3), first.ue(0), first.ue(0), first.u(1, 1)  # one prediction, no residual
+    def again(number):
+        bits = Bits()
+        bits.ue(0), bits.ue(5), bits.ue(0), bits.u(number % 16, 4), bits.u(0, 1), bits.u(0, 1), bits.u(0, 1), bits.ue(0)
+        bits.ue(columns * rows)
+        return bits.unit(0x41)
+
+    return sps.unit(0x67), pps.unit(0x68), first.unit(0x65), again
+
+
+def box(kind, *content):
+    content = b"".join(content)
+    return struct.pack(">I", 8 + len(content)) + kind + content
+
+
+def mp4(columns, rows, count, references=1, claims=None):
+    sps, pps, first, again = h264(columns, rows, references)
+    samples = [struct.pack(">I", len(first)) + first] + [struct.pack(">I", len(again(n))) + again(n) for n in range(1, count)]
+    data = b"".join(samples)
+    ftyp = box(b"ftyp", b"isom\0\0\0\0isomavc1")
+    width, height = columns * 16, rows * 16
+    matrix = struct.pack(">9i", 65536, 0, 0, 0, 65536, 0, 0, 0, 1 << 30)
+    avcc = box(b"avcC", bytes([1, 66, 0xC0, 51, 0xFF, 0xE1]), struct.pack(">H", len(sps)), sps, b"\1", struct.pack(">H", len(pps)), pps)
+    entry = box(b"avc1", bytes(6) + struct.pack(">H", 1) + bytes(16) + struct.pack(">HH", width % 65536, height % 65536)
+                + struct.pack(">II", 0x480000, 0x480000) + bytes(4) + struct.pack(">H", 1) + bytes(32) + struct.pack(">Hh", 24, -1), avcc)
+    total = claims or len(samples)
+    stsz = struct.pack(">III", 0, 0, len(samples)) + b"".join(struct.pack(">I", len(s)) for s in samples)
+    if claims:
+        stsz = struct.pack(">III", 0, 1, claims)
+    table = box(b"stbl",
+        box(b"stsd", struct.pack(">II", 0, 1), entry),
+        box(b"stts", struct.pack(">IIII", 0, 1, total, 1)),
+        box(b"stsc", struct.pack(">IIIII", 0, 1, 1, total, 1)),
+        box(b"stsz", stsz),
+        box(b"stco", struct.pack(">III", 0, 1, len(ftyp) + 8)))
+    media = box(b"mdia",
+        box(b"mdhd", struct.pack(">IIIIIHH", 0, 0, 0, 30, total % 2**32, 0x55C4, 0)),
+        box(b"hdlr", struct.pack(">II", 0, 0), b"vide", bytes(12), b"\0"),
+        box(b"minf", box(b"vmhd", struct.pack(">IQ", 1, 0)), box(b"dinf", box(b"dref", struct.pack(">II", 0, 1), box(b"url ", struct.pack(">I", 1)))), table))
+    track = box(b"trak", box(b"tkhd", struct.pack(">IIIIII", 7, 0, 0, 1, 0, total % 2**32), bytes(8), struct.pack(">HHHH", 0, 0, 0, 0), matrix,
+                              struct.pack(">II", width << 16 & 0xFFFFFFFF, height << 16 & 0xFFFFFFFF)), media)
+    movie = box(b"moov", box(b"mvhd", struct.pack(">IIIII", 0, 0, 0, 30, total % 2**32), struct.pack(">IH", 0x10000, 0x100), bytes(10), matrix, bytes(24), struct.pack(">I", 2)), track)
+    return ftyp + box(b"mdat", data) + movie
+
+
+VIDEO = ["check IN --fov 60", "run IN --fov 60 --out OUT", "run IN --out OUT"]
+
+
+@bomb(*VIDEO)
+def mp4_that_stands_still(folder):
+    path = folder / "a.mp4"
+    path.write_bytes(mp4(256, 144, 30_000))
+    return path
+
+
+@bomb(*VIDEO)
+def mp4_that_refers_to_everything(folder):
+    path = folder / "a.mp4"
+    path.write_bytes(mp4(256, 144, 30_000, references=30_000))
+    return path
+
+
+@bomb(*VIDEO)
+def mp4_that_refers_to_much(folder):
+    path = folder / "a.mp4"
+    path.write_bytes(mp4(256, 144, 30_000, references=5))
+    return path
+
+
+@bomb(*VIDEO)
+def mp4_of_larger_pictures(folder):
+    # which ffmpeg decodes
+    path = folder / "a.mp4"
+    path.write_bytes(mp4(512, 256, 20_000))
+    return path
+
+
+@bomb(*VIDEO)
+def mp4_of_billions(folder):
+    path = folder / "a.mp4"
+    path.write_bytes(mp4(20, 15, 2, claims=2**32 - 1))
+    return path
+
+
+@bomb(*VIDEO)
+def y4m_of_a_huge_header(folder):
+    path = folder / "a.y4m"
+    path.write_bytes(b"YUV4MPEG2 W8000 H8000 F30:1 Cmono\nFRAME\n" + bytes(900_000))
+    return path
+
+
+@bomb(*VIDEO)
+def y4m_of_tiny_frames(folder):
+    path = folder / "a.y4m"
+    path.write_bytes(b"YUV4MPEG2 W8 H8 F30:1 Cmono\n" + (b"FRAME\n" + bytes(64)) * 14_000)
+    return path
+
+
+@bomb(*VIDEO)
+def y4m_of_thin_pixels(folder):
+    path = folder / "a.y4m"
+    path.write_bytes(b"YUV4MPEG2 W64 H64 F30:1 A1:4000000000 Cmono\n" + (b"FRAME\n" + bytes(64 * 64)) * 200)
+    return path
+
+
+@bomb(*VIDEO)
+def avi_of_plain_images(folder):
+    picture = jpeg(3500, 3500)
+    picture += b"\0" * (len(picture) % 2)
+    strh = b"vidsMJPG" + struct.pack("<IHHIIIIIIIIHHHH", 0, 0, 0, 0, 1, 30, 0, 18, 0, 0, 0, 0, 0, 0, 0)
+    strf = struct.pack("<IiiHH4sIiiII", 40, 3500, 3500, 1, 24, b"MJPG", 0, 0, 0, 0, 0)
+    part = lambda kind, data: kind + struct.pack("<I", len(data)) + data
+    header = part(b"LIST", b"hdrl" + part(b"avih", bytes(56)) + part(b"LIST", b"strl" + part(b"strh", strh) + part(b"strf", strf)))
+    movie = part(b"LIST", b"movi" + part(b"00dc", picture) * (900_000 // len(picture)))
+    path = folder / "a.avi"
+    path.write_bytes(part(b"RIFF", b"AVI " + header + movie))
+    return path
+
+
+# lists, calibrations and the like
+
+
+def trajectory(folder, content):
+    path = folder / "t.txt"
+    path.write_text(content)
+    return path
+
+
+TRAJECTORIES = ["evaluate trajectory IN IN", "evaluate trajectory IN IN --json", "truth office --trajectory IN --out OUT.ot", "map DIR --trajectory IN --out OUT.ot",
+                "synth office --trajectory IN --size 32x32 --max-frames 2 --out OUT"]
+
+
+@bomb(*TRAJECTORIES)
+def trajectory_of_one_line(folder):
+    return trajectory(folder, "1 " * 500_000)
+
+
+@bomb(*TRAJECTORIES)
+def trajectory_of_many_poses(folder):
+    return trajectory(folder, "".join(f"{n} {n % 7} 0 0 0 0 0 1\n" for n in range(44_000)))
+
+
+@bomb(*TRAJECTORIES)
+def trajectory_that_never_moves(folder):
+    return trajectory(folder, "".join(f"{n} 0 0 0 0 0 0 1\n" for n in range(48_000)))
+
+
+@bomb(*TRAJECTORIES)
+def trajectory_to_the_end_of_numbers(folder):
+    return trajectory(folder, "".join(f"{n * 1e8:.0f} {n}e300 0 {n}e-300 0 0 0 1\n" for n in range(20_000)))
+
+
+@bomb("check DIR --imu IN --fov 60")
+def imu_of_many_readings(folder):
+    images(folder, png(64, 64), "png", 3)
+    path = folder / "imu.csv"
+    path.write_text("".join(f"{n},0,0,0,0,0,9\n" for n in range(50_000)))
+    return path
+
+
+CALIBRATIONS = ["check DIR/images --calibration IN"]
+
+
+def calibration(folder, name, content):
+    images(folder, png(64, 64), "png", 3)
+    path = folder / name
+    path.write_text(content)
+    return path
+
+
+@bomb(*CALIBRATIONS)
+def yaml_in_itself(folder):
+    return calibration(folder, "c.yaml", "".join(" " * n + f"k{n}:\n" for n in range(1350)))
+
+
+@bomb(*CALIBRATIONS)
+def yaml_of_brackets(folder):
+    return calibration(folder, "c.yaml", "cam0:\n  intrinsics: " + "[" * 900_000)
+
+
+@bomb(*CALIBRATIONS)
+def yaml_of_braces(folder):
+    return calibration(folder, "c.yaml", "cam0: " + "{a: " * 200_000)
+
+
+@bomb(*CALIBRATIONS)
+def yaml_of_aliases(folder):
+    lines = ["a0: &a0 [1, 2, 3, 4, 5, 6, 7, 8, 9]"]
+    lines += [f"a{n}: &a{n} [" + ", ".join([f"*a{n - 1}"] * 9) + "]" for n in range(1, 30)]
+    return calibration(folder, "c.yaml", "\n".join(lines) + "\nintrinsics: *a29\n")
+
+
+@bomb(*CALIBRATIONS)
+def yaml_of_dashes(folder):
+    return calibration(folder, "c.yaml", "cam0:\n" + "  - " * 200_000 + "\n" + "  - 1\n" * 10_000)
+
+
+@bomb(*CALIBRATIONS)
+def yaml_of_long_keys(folder):
+    return calibration(folder, "c.yaml", "k" * 900_000 + ":\n  a: 1\n")
+
+
+@bomb(*CALIBRATIONS)
+def xml_in_itself(folder):
+    return calibration(folder, "c.xml", "<?xml version=\"1.0\"?><opencv_storage>" + "<a>" * 300_000)
+
+
+@bomb(*CALIBRATIONS)
+def json_in_itself(folder):
+    return calibration(folder, "c.json", '{"a":' * 150_000)
+
+
+@bomb(*CALIBRATIONS)
+def toml_in_itself(folder):
+    return calibration(folder, "c.toml", "a = " + "[" * 900_000)
+
+
+@bomb(*CALIBRATIONS)
+def toml_of_tables(folder):
+    return calibration(folder, "c.toml", "".join(f"[{'a.' * 400}b{n}]\n" for n in range(1000)))
+
+
+@bomb("run DIR/images --config IN --fov 60 --out OUT")
+def config_in_itself(folder):
+    return calibration(folder, "c.toml", "slam = " + "{a=" * 200_000)
+
+
+@bomb("batch IN --out OUT", "report IN")
+def batch_of_one_line(folder):
+    path = folder / "a.tsv"
+    path.write_text("nothing" + "\tname=a" * 140_000 + "\n")
+    return path
+
+
+# meshes and clouds
+
+MESHES = ["truth IN --trajectory DIR/path.txt --out OUT.ot", "truth IN --trajectory DIR/path.txt --resolution 0.01 --out OUT.ot",
+          "view IN --html OUT.html", "view IN --png OUT.png", "synth IN --trajectory DIR/path.txt --frames 2 --size 64x48 --out OUT"]
+
+
+def mesh(folder, name, data):
+    (folder / "path.txt").write_text("".join(f"{n} {n} 1 1 0 0 0 1\n" for n in range(1, 9)))
+    path = folder / name
+    path.write_bytes(data if isinstance(data, bytes) else data.encode())
+    return path
+
+
+@bomb(*MESHES)
+def obj_of_large_triangles(folder):
+    faces = "".join(f"f {1 + n % 3} {1 + (n + 1) % 3} {1 + (n + 2) % 3}\n" for n in range(80_000))
+    return mesh(folder, "a.obj", "v 0 0 0\nv 30 0 0\nv 0 30 30\n" + faces)
+
+
+@bomb(*MESHES)
+def obj_of_a_long_wall(folder):
+    return mesh(folder, "a.obj", "v 0 0 0\nv 1600 0 0\nv 0 1600 1600\nv 1600 1600 0\nf 1 2 3\nf 2 3 4\n")
+
+
+@bomb(*MESHES)
+def obj_of_many_large_triangles(folder):
+    corners = "".join(f"v {n * 7 % 31} {n * 11 % 29} {n * 13 % 23}\n" for n in range(1000))
+    faces = "".join(f"f {1 + n * 7 % 1000} {1 + n * 97 % 1000} {1 + n * 331 % 1000}\n" for n in range(1, 60_000))
+    return mesh(folder, "a.obj", corners + faces)
+
+
+@bomb(*MESHES)
+def obj_of_far_points(folder):
+    return mesh(folder, "a.obj", "".join(f"v {n}e5 {n % 7}e5 {n % 11}e5\n" for n in range(1, 30_000)) + "f 1 2 3\nf 100 200 300\n")
+
+
+@bomb(*MESHES)
+def ply_of_billions(folder):
+    return mesh(folder, "a.ply", "ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\nproperty float y\n"
+                    "property float z\nelement face 4000000000\nproperty list uint int vertex_indices\nend_header\n" + "a" * 900_000)
+
+
+@bomb(*MESHES)
+def ply_of_empty_faces(folder):
+    head = b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    head += b"element face 900000\nproperty list uchar uchar vertex_indices\nend_header\n"
+    return mesh(folder, "a.ply", head + struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0) + bytes(900_000))
+
+
+@bomb(*MESHES)
+def ply_of_long_lists(folder):
+    head = b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    head += b"element face 2\nproperty list uint uchar vertex_indices\nend_header\n"
+    return mesh(folder, "a.ply", head + struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0) + struct.pack("<I", 2**32 - 1) + bytes(900_000))
+
+
+@bomb(*MESHES)
+def pcd_of_billions(folder):
+    return mesh(folder, "a.pcd", "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 4000000000\nHEIGHT 1\nPOINTS 4000000000\n"
+                    "DATA binary\n" + "a" * 900_000)
+
+
+@bomb(*MESHES)
+def pcd_of_far_points(folder):
+    rows = "".join(f"{n % 97}e4 {n % 89}e4 {n % 83}e4\n" for n in range(60_000))
+    return mesh(folder, "a.pcd", "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 60000\nHEIGHT 1\nPOINTS 60000\nDATA ascii\n" + rows)
+
+
+@bomb("map IN --out OUT.ot", "map IN --out OUT.ot --integration rays", "map IN --out OUT.ot --resolution 0.001")
+def scans_of_far_points(folder):
+    points = b"".join(struct.pack("<4f", 1e3 * (n % 50 - 25), 1e3 * (n % 41 - 20), 1e3 * (n % 31), 0.01) for n in range(50_000))
+    return mesh(folder, "a.scans", struct.pack("<II", 0x4F474D31, 1) + struct.pack("<12d", 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0) + struct.pack("<I", 50_000) + points)
+
+
+@bomb("map IN --out OUT.ot", "run IN --fov 60 --out OUT")
+def depth_images_of_plain(folder):
+    depth = folder / "set" / "depth"
+    depth.mkdir(parents=True)
+    for index in range(30):
+        (depth / f"{index}.png").write_bytes(png(3500, 3500, 16))
+    (depth.parent / "depth.txt").write_text("".join(f"{n} depth/{n % 30}.png\n" for n in range(3000)))
+    (depth.parent / "groundtruth.txt").write_text("".join(f"{n} 0 0 {n} 0 0 0 1\n" for n in range(3000)))
+    (depth.parent / "calibration_depth.txt").write_text("3000 3000 1750 1750 3500 3500\n5000\n")
+    return depth.parent
+
+
+def measured(program, words, folder):
+    """Exit code, seconds of the processor and of the clock, kilobytes, what was said."""
+    said = folder / "said"
+    begin = time.monotonic()
+    with said.open("wb") as out:
+        child = subprocess.Popen([program, *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=out, cwd=folder,
+                                 preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CORE, (0, 0)), start_new_session=True)
+    while True:
+        pid, status, usage = os.wait4(child.pid, os.WNOHANG)
+        if pid:
+            break
+        if time.monotonic() - begin > PATIENCE_SECONDS:
+            os.killpg(child.pid, signal.SIGKILL)
+            _, status, usage = os.wait4(child.pid, 0)
+            break
+        time.sleep(0.02)
+    child.returncode = os.waitstatus_to_exitcode(status)
+    seconds = usage.ru_utime + usage.ru_stime
+    return child.returncode, seconds, time.monotonic() - begin, usage.ru_maxrss, said.read_text(errors="replace")
+
+
+def main():
+    if len(sys.argv) < 2:
+        sys.exit(__doc__)
+    program, words = os.path.abspath(sys.argv[1]), sys.argv[2:]
+    harmed = 0
+    for name, (make, commands) in BOMBS.items():
+        if words and not any(word in name for word in words):
+            continue
+        with tempfile.TemporaryDirectory(prefix="bombs-") as scratch:
+            folder = Path(os.environ["KEEP"], name) if os.environ.get("KEEP") else Path(scratch)
+            folder.mkdir(parents=True, exist_ok=bool(not os.environ.get("KEEP")))
+            path = make(folder)
+            files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
+            size = sum(file.stat().st_size for file in files)
+            for index, command in enumerate(commands):
+                for_words = {"IN": str(path), "DIR": str(folder)}
+                arguments = [word.replace("OUT", f"{scratch}/out{index}") for word in command]
+                arguments = [for_words.get(word, word.replace("DIR/", f"{folder}/")) for word in arguments]
+                code, seconds, clock, memory, said = measured(program, arguments, folder)
+                is_harm = seconds > MAX_SECONDS or memory > MAX_MEMORY_KB or not 0 <= code <= 4 or "panicked" in said
+                harmed += is_harm
+                last = said.strip().splitlines()[-1:] or [""]
+                print(f"{'HARM' if is_harm else 'ok  '} {name:34} {size / 1e3:6.0f} kB  {seconds:6.1f} s ({clock:5.1f})  "
+                      f"{memory / 1e3:6.0f} MB  code {code:4}  {' '.join(command)[:60]:60} {last[0][:150]}", flush=True)
+    print(f"{harmed} did harm")
+    sys.exit(harmed > 0)
+
+
+if __name__ == "__main__":
+    main()
