@@ -628,7 +628,8 @@ fn an_interrupt_while_depth_is_made_dense_saves_what_there_is() {
         .arg(&out);
     // large images, of which dense depth takes long
     let large = ["--size", "1280x960", "--max-frames", "40"];
-    command.args(["--seed-depth", "dataset"]).args(large);
+    command.args(["--seed-depth", "dataset", "--threads", "1"]);
+    command.args(large);
     command.stdout(Stdio::null()).stderr(Stdio::piped());
     let mut child = command.spawn().unwrap();
     let mut said = BufReader::new(child.stderr.take().unwrap()).lines();
