@@ -3,7 +3,7 @@
 #
 #   scripts/maps.sh [tuning|validation|FOLDER]... [-- NAME[=OPTIONS]...]
 #
-#   scripts/maps.sh validation -- default no-fusion='--set mapping.fusion.max_witnesses=0'
+#   scripts/maps.sh validation -- default no-planes='--set mapping.planes.max_count=0'
 #   scripts/maps.sh validation -- default before='@/tmp/before/monogrid'
 #
 # A scene is a folder in TUM layout with poses and depth images. Each is tracked once, from the

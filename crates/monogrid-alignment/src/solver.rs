@@ -6,6 +6,17 @@ use crate::{Weighting, linearize};
 use monogrid_geometry::{Mat6, Se3, Vec6};
 use nalgebra::{SMatrix, SVector};
 
+/// Weight of the ratio of the contrasts of both images in the estimate of the gain, relative to
+/// all residuals. Regression alone shrinks the gain of images that are not aligned yet, down to
+/// wrong minima in which a flat image explains everything.
+const CONTRAST_WEIGHT: f64 = 1.0;
+/// A level has converged when the cost falls by less than this share.
+const MIN_COST_DECREASE: f64 = 1e-4;
+/// A level has converged when the squared norm of the twist falls below this.
+const MIN_STEP_SQ: f64 = 1e-10;
+/// A residual is good when `r^2 < max_residual^2 + (this * |gradient|)^2`.
+const MAX_RESIDUAL_PER_GRADIENT: f32 = 0.5;
+
 /// Which part of the motion may change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Freedom {
@@ -105,7 +116,7 @@ impl GainPrior {
         match (config.brightness, linear.log_contrast_ratio()) {
             (Brightness::Affine, Some(log_gain)) => Self {
                 log_gain,
-                information: config.contrast_weight * linear.hessian[(6, 6)],
+                information: CONTRAST_WEIGHT * linear.hessian[(6, 6)],
             },
             _ => Self::default(),
         }
@@ -152,7 +163,7 @@ fn align_level(
         robust: config.robust,
         scale: initial_scale.unwrap_or(1.0),
         good_sq: config.max_residual * config.max_residual,
-        good_gradient_sq: config.max_residual_per_gradient * config.max_residual_per_gradient,
+        good_gradient_sq: MAX_RESIDUAL_PER_GRADIENT * MAX_RESIDUAL_PER_GRADIENT,
     };
     let evaluate = |motion: &Motion, weighting: &Weighting| {
         linearize(points, image, motion, weighting, stride)
@@ -207,11 +218,11 @@ fn descend(
             motion = candidate;
             linear = trial;
             lambda = if lambda < 1e-3 { 0.0 } else { lambda * 0.25 };
-            if decrease < config.min_cost_decrease {
+            if decrease < MIN_COST_DECREASE {
                 break;
             }
         } else {
-            if step_sq < config.min_step_sq {
+            if step_sq < MIN_STEP_SQ {
                 break;
             }
             lambda = if lambda == 0.0 { 0.05 } else { lambda * 4.0 };

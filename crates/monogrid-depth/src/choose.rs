@@ -2,8 +2,16 @@
 
 use crate::config::{DepthConfig, FrameChoice};
 use crate::epipolar::EpipolarLine;
+use crate::measure::MIN_LINE_GRADIENT;
 use crate::observe::{DepthBand, Pixel, Prepared, phase};
 use crate::stats::PixelOutcome;
+use crate::update::MAX_VAR;
+
+/// Smallest cosine of the angle between gradient and epipolar line.
+const MIN_LINE_COSINE: f32 = 0.15;
+/// Validity from which a pixel is observed only for gain; younger ones are confirmed with any
+/// baseline.
+pub const MATURE_VALIDITY: u8 = 20;
 
 /// Pixels between a sampled place and the border of the frame.
 pub(crate) const FRAME_BORDER: f32 = 4.0;
@@ -74,7 +82,7 @@ impl DepthBand<'_> {
         if config.frame_choice == FrameChoice::First {
             return f32::INFINITY;
         }
-        let young = self.validity[pixel.i] < config.mature_validity;
+        let young = self.validity[pixel.i] < MATURE_VALIDITY;
         let due = config.verify_interval > 0
             && phase(pixel, frames[0].frame.id).is_multiple_of(config.verify_interval);
         let ratio = if young || due {
@@ -129,7 +137,7 @@ impl DepthBand<'_> {
         const ASSUMED_IDEPTH: f32 = 1.0;
         best_of(frames, config, |prepared| {
             let choice = self.consider(pixel, prepared, ASSUMED_IDEPTH, config)?;
-            if choice.predicted_var > config.max_var {
+            if choice.predicted_var > MAX_VAR {
                 return Err(PixelOutcome::BaselineTooShort);
             }
             let near = choice.line.limit_in_front(self.near_limit, 0.3);
@@ -164,8 +172,8 @@ impl DepthBand<'_> {
         let along = gx * ex + gy * ey;
         let along_sq = along * along / norm_sq.max(1e-20);
         let gradient_sq = gx * gx + gy * gy;
-        if along_sq < config.min_line_gradient * config.min_line_gradient
-            || along_sq < config.min_line_cosine * config.min_line_cosine * gradient_sq
+        if along_sq < MIN_LINE_GRADIENT * MIN_LINE_GRADIENT
+            || along_sq < MIN_LINE_COSINE * MIN_LINE_COSINE * gradient_sq
         {
             return Err(PixelOutcome::GradientAcrossLine);
         }

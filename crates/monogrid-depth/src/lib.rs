@@ -42,7 +42,8 @@ mod stats;
 mod update;
 mod variance;
 
-pub use config::{ConfigError, DepthConfig, FrameChoice, GradientSelection, VarianceModel};
+pub use choose::MATURE_VALIDITY;
+pub use config::{DepthConfig, FrameChoice, GradientSelection, VarianceModel};
 pub use dense::{DenseConfig, DenseDepth, Witness, dense_depth};
 pub use host::HostFrame;
 pub use map::{DepthMap, FoundDepth};

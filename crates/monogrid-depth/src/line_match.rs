@@ -43,28 +43,17 @@ pub(crate) struct Patch {
     pub(crate) information: f32,
     /// Centroid of the squared slopes, px of the frame from the centre.
     pub(crate) centroid: f32,
-    remove_mean: bool,
 }
 
 impl Patch {
     /// Samples the keyframe at `(x, y)` along the unit vector `direction`, `step` px apart.
     #[inline]
-    pub(crate) fn new(
-        image: &GrayImage,
-        pixel: [f32; 2],
-        direction: [f32; 2],
-        step: f32,
-        remove_mean: bool,
-    ) -> Self {
+    pub(crate) fn new(image: &GrayImage, pixel: [f32; 2], direction: [f32; 2], step: f32) -> Self {
         let offset = (LANE - (RADIUS + 1) as f32) * step;
         let [x, y] = [0, 1].map(|axis| pixel[axis] + offset * direction[axis]);
         let samples: [f32; SAMPLES] = bilinear(Baseline, image, x, y);
-        let mut values = std::array::from_fn(|k| samples[k + 1]);
-        let mut slopes = std::array::from_fn(|k| 0.5 * (samples[k + 2] - samples[k]));
-        if remove_mean {
-            subtract_mean(&mut values);
-            subtract_mean(&mut slopes);
-        }
+        let values = std::array::from_fn(|k| samples[k + 1]);
+        let slopes: [f32; PATCH] = std::array::from_fn(|k| 0.5 * (samples[k + 2] - samples[k]));
         let (mut information, mut moment) = (0.0, 0.0);
         for (k, slope) in slopes.iter().enumerate() {
             information += slope * slope;
@@ -75,15 +64,7 @@ impl Patch {
             slopes,
             information,
             centroid: moment / information.max(1e-6),
-            remove_mean,
         }
-    }
-}
-
-fn subtract_mean(values: &mut [f32; PATCH]) {
-    let mean = values.iter().sum::<f32>() / PATCH as f32;
-    for value in values {
-        *value -= mean;
     }
 }
 
@@ -202,12 +183,6 @@ fn search_in(
 /// SSD at each position; one sample of the patch at a time, so that positions are computed in lanes.
 fn fill_costs(patch: &Patch, values: &[f32], costs: &mut [f32]) {
     let num = costs.len();
-    if patch.remove_mean {
-        for (cost, window) in costs.iter_mut().zip(values.windows(PATCH)) {
-            *cost = ssd_of(patch, window);
-        }
-        return;
-    }
     costs.fill(0.0);
     for (k, reference) in patch.values.iter().enumerate() {
         for (cost, value) in costs.iter_mut().zip(&values[k..k + num]) {
@@ -232,19 +207,12 @@ fn has_rival(costs: &[f32], best: usize, limit: f32) -> bool {
 
 #[inline]
 fn ssd_of(patch: &Patch, window: &[f32]) -> f32 {
-    let mut sum = 0.0;
     let mut sum_sq = 0.0;
     for (value, reference) in window.iter().zip(&patch.values) {
         let r = value - reference;
-        sum += r;
         sum_sq += r * r;
     }
-    if patch.remove_mean {
-        // the patch is free of its mean, so the sum of differences is the window's
-        sum_sq - sum * sum / PATCH as f32
-    } else {
-        sum_sq
-    }
+    sum_sq
 }
 
 /// Moves a match to sub-pixel precision, at most `max_move` px away.
@@ -339,7 +307,7 @@ mod tests {
                 for y in 3..57 {
                     for x in (20..160).step_by(2) {
                         let place = [x as f32, y as f32];
-                        let patch = Patch::new(&keyframe, place, [1.0, 0.0], 1.0, false);
+                        let patch = Patch::new(&keyframe, place, [1.0, 0.0], 1.0);
                         let start = x as f32 + shift.round();
                         let walk = walk(&frame, y as f32);
                         if let Ok(found) = refine(&patch, &walk, start, 1.25) {
@@ -364,7 +332,7 @@ mod tests {
         let frame = shifted(12.3).map(|v| 0.8 * v + 20.0);
         let mut found = 0;
         for x in (20..120).step_by(5) {
-            let patch = Patch::new(&keyframe, [x as f32, 30.0], [1.0, 0.0], 1.0, false);
+            let patch = Patch::new(&keyframe, [x as f32, 30.0], [1.0, 0.0], 1.0);
             let mut walk = walk(&frame, 30.0);
             (walk.inv_gain, walk.bias) = (1.0 / 0.8, 20.0);
             let from = x as f32;
@@ -385,12 +353,12 @@ mod tests {
         let stripes = GrayImage::from_fn(200, 60, |x, _| {
             100.0 + 50.0 * (x as f32 * std::f32::consts::TAU / 9.0).sin()
         });
-        let patch = Patch::new(&stripes, [60.0, 30.0], [1.0, 0.0], 1.0, false);
+        let patch = Patch::new(&stripes, [60.0, 30.0], [1.0, 0.0], 1.0);
         let ambiguous = search(&patch, &walk(&stripes, 30.0), 50.0, 40, (1.5, 1.0));
         assert_eq!(ambiguous, Err(PixelOutcome::Ambiguous));
         // the truth lies two pixels before the interval
         let image = shifted(0.0);
-        let patch = Patch::new(&image, [60.0, 30.0], [1.0, 0.0], 1.0, false);
+        let patch = Patch::new(&image, [60.0, 30.0], [1.0, 0.0], 1.0);
         let outside = search(&patch, &walk(&image, 30.0), 62.0, 2, (1.5, 1.0));
         assert_eq!(outside, Err(PixelOutcome::AtIntervalEnd));
     }
@@ -398,36 +366,22 @@ mod tests {
     #[test]
     fn costs_in_lanes_equal_the_plain_sum() {
         let image = noisy(&shifted(0.0), 4.0, 3);
-        for remove_mean in [false, true] {
-            let patch = Patch::new(&image, [50.0, 20.0], [0.6, 0.8], 1.1, remove_mean);
-            let mut values = [0.0; 44];
-            walk(&image, 20.0).fill(30.0, &mut values);
-            for (i, value) in values.iter().enumerate() {
-                let place = [30.0 + i as f32, 20.0].map(f32x8::splat);
-                let [exact] = bilinear(Baseline, &image, place[0], place[1]);
-                assert!((value - exact).abs() < 0.01);
-            }
-            let mut costs = [0.0; 40];
-            fill_costs(&patch, &values, &mut costs);
-            for (cost, window) in costs.iter().zip(values.windows(PATCH)) {
-                let plain = ssd_of(&patch, window);
-                assert!(
-                    (cost - plain).abs() < 1e-3 * plain.max(1.0),
-                    "{cost} {plain}"
-                );
-            }
+        let patch = Patch::new(&image, [50.0, 20.0], [0.6, 0.8], 1.1);
+        let mut values = [0.0; 44];
+        walk(&image, 20.0).fill(30.0, &mut values);
+        for (i, value) in values.iter().enumerate() {
+            let place = [30.0 + i as f32, 20.0].map(f32x8::splat);
+            let [exact] = bilinear(Baseline, &image, place[0], place[1]);
+            assert!((value - exact).abs() < 0.01);
         }
-    }
-
-    #[test]
-    fn removing_the_mean_ignores_a_local_change_of_light() {
-        let keyframe = shifted(0.0);
-        let frame = shifted(5.4).map(|v| v + 30.0);
-        let patch = Patch::new(&keyframe, [60.0, 30.0], [1.0, 0.0], 1.0, true);
-        let fine = refine(&patch, &walk(&frame, 30.0), 65.0, 1.25).expect("converges");
-        assert!(
-            (fine.position - 65.4).abs() < 0.2 && fine.ssd < 150.0,
-            "{fine:?}"
-        );
+        let mut costs = [0.0; 40];
+        fill_costs(&patch, &values, &mut costs);
+        for (cost, window) in costs.iter().zip(values.windows(PATCH)) {
+            let plain = ssd_of(&patch, window);
+            assert!(
+                (cost - plain).abs() < 1e-3 * plain.max(1.0),
+                "{cost} {plain}"
+            );
+        }
     }
 }

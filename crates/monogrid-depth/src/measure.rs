@@ -7,6 +7,13 @@ use crate::observe::{DepthBand, Pixel};
 use crate::stats::PixelOutcome;
 use crate::variance::match_variance;
 
+/// Smallest component of the gradient along the epipolar line, grey levels per px.
+pub(crate) const MIN_LINE_GRADIENT: f32 = 1.0;
+/// Share of the patch's own gradient that is added to the accepted difference.
+const RESIDUAL_GRADIENT_SHARE: f32 = 0.2;
+/// A match is ambiguous when a minimum elsewhere costs less than this multiple.
+const AMBIGUITY_RATIO: f32 = 1.5;
+
 /// A search interval no longer than this is left to the refinement alone, px.
 const REFINE_ONLY_PX: f32 = 2.5;
 /// How far the refinement may move from the best whole pixel, px.
@@ -36,15 +43,15 @@ impl DepthBand<'_> {
         let image = &self.host.image;
         let step = 1.0 / choice.stretch;
         let centre = [pixel.x, pixel.y];
-        let patch = Patch::new(image, centre, choice.direction, step, config.remove_mean);
-        if patch.information < config.min_line_gradient * config.min_line_gradient {
+        let patch = Patch::new(image, centre, choice.direction, step);
+        if patch.information < MIN_LINE_GRADIENT * MIN_LINE_GRADIENT {
             return Err(PixelOutcome::GradientAcrossLine);
         }
         let found = self.match_on_line(&patch, choice, (prior, interval), config)?;
         let residual = found.ssd / PATCH as f32;
         let noise = config.max_residual_sigmas * config.sensor_sigma;
         let limit = 2.0 * noise * noise
-            + config.residual_gradient_share.powi(2) * patch.information / PATCH as f32;
+            + RESIDUAL_GRADIENT_SHARE.powi(2) * patch.information / PATCH as f32;
         if residual > limit {
             return Err(PixelOutcome::Dissimilar);
         }
@@ -111,7 +118,7 @@ impl DepthBand<'_> {
                 return Err(PixelOutcome::OutOfImage);
             }
             let noise_ssd = PATCH as f32 * self.noise_var;
-            let ambiguity = (config.ambiguity_ratio, noise_ssd);
+            let ambiguity = (AMBIGUITY_RATIO, noise_ssd);
             let found = search(patch, &walk, from, num_steps, ambiguity)?;
             (found.position, MAX_REFINE_PX)
         };

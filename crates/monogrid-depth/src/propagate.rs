@@ -6,6 +6,7 @@
 use crate::HostFrame;
 use crate::config::DepthConfig;
 use crate::map::{BORDER, DepthMap, FoundDepth, Hypothesis};
+use crate::update::MAX_VAR;
 use monogrid_geometry::{Se3, Vec2, Vec3};
 use std::ops::Range;
 use std::sync::Arc;
@@ -217,7 +218,7 @@ fn merge((x, y): (usize, usize), nearby: &[Warped], config: &DepthConfig) -> Opt
     let mean_var = sum_v / sum_w * (0.6 + 0.4 * sum_ww / (sum_w * sum_w));
     let var =
         config.propagation_inflation * mean_var + slope * slope * offset + prediction * prediction;
-    (var <= config.max_var).then_some(Hypothesis {
+    (var <= MAX_VAR).then_some(Hypothesis {
         idepth,
         var,
         prior_var: var,

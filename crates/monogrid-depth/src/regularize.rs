@@ -3,8 +3,12 @@
 use crate::DepthMap;
 use crate::config::DepthConfig;
 use crate::map::{Arrays, Candidates, FoundDepth, Hypothesis};
+use crate::update::MAX_VAR;
 use monogrid_image::for_lanes;
 use monogrid_image::lanes::{F32x8, LANES, Lanes};
+
+/// Sum of the validities in 5x5 below which a pixel is dropped.
+const MIN_SUPPORT_KEEP: u16 = 24;
 
 /// Neighbours on either side.
 const RADIUS: usize = 2;
@@ -129,7 +133,7 @@ impl DepthMap {
         let var = num / sum_w + 2.0 * spread + config.fill_relative_var * idepth * idepth;
         Some(Hypothesis {
             idepth,
-            var: var.min(config.max_var),
+            var: var.min(MAX_VAR),
             prior_var: f32::INFINITY,
             validity: 0,
         })
@@ -245,8 +249,7 @@ fn smoothed_with<L: Lanes>(
     }
     // a filled pixel has no validity of its own and lives from its neighbours
     let supporting = support.sum();
-    if supporting < f32::from(config.min_support_keep)
-        || supporting < config.min_support_share * all.sum()
+    if supporting < f32::from(MIN_SUPPORT_KEEP) || supporting < config.min_support_share * all.sum()
     {
         return None;
     }
@@ -322,8 +325,8 @@ mod tests {
                 sum += weight * d;
             }
         }
-        let kept = support >= f32::from(config.min_support_keep)
-            && support >= config.min_support_share * all;
+        let kept =
+            support >= f32::from(MIN_SUPPORT_KEEP) && support >= config.min_support_share * all;
         kept.then_some((
             sum / weights,
             (1.0 / weights).max(var / config.max_smoothing_gain),

@@ -6,6 +6,17 @@ use crate::measure::Observation;
 use crate::observe::{DepthBand, Pixel, Prepared};
 use crate::stats::{ObserveStats, PixelOutcome};
 
+/// Variance is multiplied by this at each failed match.
+const FAILURE_INFLATION: f32 = 1.1;
+/// Hypotheses with a larger variance are dropped, 1/u².
+pub(crate) const MAX_VAR: f32 = 0.25;
+/// Validity of a hypothesis created by a search.
+const VALIDITY_CREATED: u8 = 5;
+/// Validity gained by a successful observation.
+const VALIDITY_GAIN: u8 = 5;
+/// Validity lost by a failed or contradicting one.
+const VALIDITY_LOSS: u8 = 5;
+
 impl DepthBand<'_> {
     /// Refines an existing hypothesis.
     pub(crate) fn update(
@@ -54,13 +65,13 @@ impl DepthBand<'_> {
             Err(outcome) => return outcome,
         };
         match self.observe_line(pixel, &choice, (1.0, (0.0, self.near_limit)), config) {
-            Ok((observation, _)) if observation.var <= config.max_var => {
+            Ok((observation, _)) if observation.var <= MAX_VAR => {
                 self.idepth[i] = observation.idepth;
                 self.var[i] = observation.var;
                 self.prior_var[i] = f32::INFINITY;
                 self.floor_var[i] = observation.shared_var;
                 self.photo_px[i] = observation.photo_px;
-                self.validity[i] = config.validity_created;
+                self.validity[i] = VALIDITY_CREATED;
                 self.failures[i] = 0;
                 PixelOutcome::Created
             }
@@ -90,7 +101,7 @@ impl DepthBand<'_> {
         let gradient = (self.host.max_gradient).at(pixel.x as usize, pixel.y as usize);
         let max_validity = f32::from(config.validity_max) + config.validity_per_gradient * gradient;
         let max_validity = self.validity[i].max(max_validity.min(255.0) as u8);
-        let validity = self.validity[i].saturating_add(config.validity_gain);
+        let validity = self.validity[i].saturating_add(VALIDITY_GAIN);
         self.validity[i] = validity.min(max_validity);
         self.failures[i] = 0;
         self.photo_px[i] = observation.photo_px;
@@ -123,17 +134,17 @@ impl DepthBand<'_> {
                 if config.frame_choice == FrameChoice::Predicted => {}
             _ => return outcome,
         }
-        self.var[i] *= config.failure_inflation;
+        self.var[i] *= FAILURE_INFLATION;
         self.failures[i] = self.failures[i].saturating_add(1).min(MAX_FAILURES);
         // a contradiction is only counted against the hypothesis by LSD when it is also unlikely
         let loss = match (outcome, config.frame_choice) {
             (PixelOutcome::Inconsistent, FrameChoice::First) => 0,
-            _ => config.validity_loss,
+            _ => VALIDITY_LOSS,
         };
         let exhausted = self.validity[i] < loss;
         self.validity[i] = self.validity[i].saturating_sub(loss);
         let drops_exhausted = config.frame_choice == FrameChoice::Predicted;
-        if self.var[i] > config.max_var || (drops_exhausted && exhausted) {
+        if self.var[i] > MAX_VAR || (drops_exhausted && exhausted) {
             (self.var[i], self.validity[i], self.photo_px[i]) = (0.0, 0, 0.0);
             return PixelOutcome::Dropped;
         }

@@ -16,6 +16,7 @@ mod sequence;
 
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};
 use monogrid_image::GrayImage;
+use monogrid_slam::settings::SLAM;
 use monogrid_slam::{FrameInput, FrameReport, Keyframe, Slam, SlamConfig, TrackingState};
 use options::Options;
 use sequence::Sequence;
@@ -30,7 +31,7 @@ fn main() {
     } else {
         SlamConfig::default()
     };
-    let config = options.applied_to(&profile);
+    let config = options.applied_to(profile, SLAM, "slam");
     let mut slam = sequence.system(config, options.number("seed", 0));
     let live = track(&mut slam, &sequence, &options);
     let truth = match sequence.dataset.ground_truth {

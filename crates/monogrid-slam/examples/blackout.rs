@@ -18,6 +18,7 @@ use monogrid_datasets::TimedPose;
 use monogrid_geometry::{Sim3, Vec3, align_similarity};
 use monogrid_image::Mask;
 use monogrid_inertial::{Imu, ImuNoise};
+use monogrid_slam::settings::SLAM;
 use monogrid_slam::{FrameInput, MAIN_MAP, Slam, SlamConfig};
 use monogrid_worlds::{
     CameraPath, Carrier, ImuConfig, LightingConfig, SynthConfig, SynthSequence, World, imu_samples,
@@ -92,7 +93,7 @@ fn main() {
 
     let camera = sequence.camera();
     let mask = Mask::filled(camera.width, camera.height, 255);
-    let config = options.applied_to(&SlamConfig::default());
+    let config = options.applied_to(SlamConfig::default(), SLAM, "slam");
     let mut slam = Slam::new(config, camera.pinhole, mask, 0).unwrap();
     let has_imu = options.number("imu", 1) != 0;
     if has_imu {

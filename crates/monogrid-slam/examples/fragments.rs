@@ -21,6 +21,7 @@ mod sequence;
 
 use monogrid_geometry::{Rotation, Se3, Sim3, Vec3, align_similarity};
 use monogrid_image::GrayImage;
+use monogrid_slam::settings::SLAM;
 use monogrid_slam::{FrameInput, Slam, SlamConfig, TrackingState};
 use options::Options;
 use sequence::Sequence;
@@ -155,7 +156,7 @@ fn main() {
     let mut scenes = vec![Sequence::open(&folder)];
     scenes.extend(others.iter().map(|(_, folder)| Sequence::open(folder)));
     let (frames, begins) = video(&options, &names);
-    let config = options.applied_to(&SlamConfig::default());
+    let config = options.applied_to(SlamConfig::default(), SLAM, "slam");
     let mut slam = scenes[0].system(config, options.number("seed", 0));
     let (reported, counts) = play(&mut slam, &scenes, &frames, options.number("maps", 0) > 0);
     slam.finish();

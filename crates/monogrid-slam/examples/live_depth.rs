@@ -19,6 +19,7 @@ use monogrid_occupancy::{OccupancyMap, write_ot};
 use monogrid_slam::mapping::{
     KeyframeCamera, LiveMaps, Mapper, MappingConfig, Waiting, z_up_from_camera_world,
 };
+use monogrid_slam::settings::MAPPING;
 use monogrid_slam::{Event, FrameInput, Slam, SlamConfig};
 use options::Options;
 use sequence::Sequence;
@@ -37,7 +38,7 @@ fn main() {
     let options = Options::read(rest.iter().cloned());
     let config = MappingConfig {
         resolution: options.number("res", 0.032),
-        ..options.applied_to(&MappingConfig::default())
+        ..options.applied_to(MappingConfig::default(), MAPPING, "mapping")
     };
     let sequence = Sequence::open(folder);
     let mut slam = sequence.system(SlamConfig::default(), 0);

@@ -17,6 +17,7 @@ mod sequence;
 
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};
 use monogrid_image::{Image, WorkingSize};
+use monogrid_slam::settings::SLAM;
 use monogrid_slam::{FrameInput, Slam, SlamConfig};
 use options::Options;
 use sequence::Sequence;
@@ -29,7 +30,7 @@ fn main() {
     let folder = args.next().unwrap();
     let options = Options::read(args);
     let sequence = Sequence::open_with_size(&folder, working_size(&options));
-    let config = options.applied_to(&SlamConfig::default());
+    let config = options.applied_to(SlamConfig::default(), SLAM, "slam");
     let mut slam = sequence.system(config, 0);
     let images = images(&sequence, options.number("max", usize::MAX));
     let order = forth_and_back(

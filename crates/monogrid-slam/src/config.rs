@@ -34,8 +34,7 @@ pub enum SlamError {
 }
 
 /// Settings of [`crate::Slam`].
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct SlamConfig {
     /// How the first keyframe gets its depth.
     pub initialization: InitializationConfig,
@@ -92,18 +91,17 @@ impl SlamConfig {
     /// # Errors
     /// The first setting outside its range.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        crate::limits::check_slam(self)
+        crate::settings::check_slam(self)
     }
 }
 
 /// How much of keyframes is in memory. No result depends on it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct MemoryConfig {
-    /// Images and depth of keyframes in memory, MB; what is beyond that and was not used for longest lies in a temporary file, where
-    /// there is one. Range [0, 1000000].
+    /// Images and depth of keyframes in memory, MB; what is beyond that and was not used for
+    /// longest lies in a temporary file, where there is one.
     pub keyframes_mb: f64,
-    /// Pyramids of keyframes in memory, which are made again when they are needed, MB. Range [0, 1000000].
+    /// Pyramids of keyframes in memory, which are made again when they are needed, MB.
     pub prepared_mb: f64,
 }
 
@@ -127,31 +125,30 @@ pub enum InitializationMode {
 }
 
 /// Settings of the start.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct InitializationConfig {
     /// Method, unless a seed depth is given.
     pub mode: InitializationMode,
-    /// Features followed from the first frame. Range [10, 20000].
+    /// Features followed from the first frame.
     pub num_features: usize,
-    /// Fewest features with which a two-view start is tried. Range [8, 20000].
+    /// Fewest features with which a two-view start is tried.
     pub min_features: usize,
-    /// Smallest median displacement of the features, as a share of the image width. Range [0.001, 1].
+    /// Smallest median displacement of the features, as a share of the image width.
     pub min_displacement: f64,
-    /// Median displacement since the newest reference frame from which another one competes with it, as a share of
-    /// the image width. Range [0.001, 10].
+    /// Median displacement since the newest reference frame from which another one competes with
+    /// it, as a share of the image width.
     pub reference_displacement: f64,
-    /// Frames kept at most while waiting for parallax; older ones stay without a pose. Range [2, 3000].
+    /// Frames kept at most while waiting for parallax; older ones stay without a pose.
     pub max_buffered_frames: usize,
-    /// Frames without a start after which features may lie as close together as points of the sparse layer
-    /// (`sparse.min_spacing`): small, dim images show few. Range [0, 1000000].
+    /// Frames without a start after which features may lie as close together as points of the
+    /// sparse layer (`sparse.min_spacing`): small, dim images show few.
     pub patient_frames: usize,
-    /// Standard deviation of a followed feature, px. Range [0.01, 20].
+    /// Standard deviation of a followed feature, px.
     pub sigma_px: f64,
-    /// Largest median relative standard deviation of the features' inverse depths with which a two-view start
-    /// is accepted. Range [0.001, 10].
+    /// Largest median relative standard deviation of the features' inverse depths with which a
+    /// two-view start is accepted.
     pub max_relative_sigma: f64,
-    /// Relative standard deviation of a seed depth. Range [0.0001, 1].
+    /// Relative standard deviation of a seed depth.
     pub seed_relative_sigma: f32,
 }
 
@@ -173,32 +170,25 @@ impl Default for InitializationConfig {
 }
 
 /// Settings of the keyframe choice.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct KeyframeConfig {
-    /// Weight of the distance in units of the mean depth. Range [0.01, 1000].
+    /// Weight of the distance in units of the mean depth.
     pub distance_weight: f64,
-    /// Weight of the lost overlap. Range [0.01, 1000].
+    /// Weight of the lost overlap.
     pub usage_weight: f64,
-    /// Frames good enough to refine a keyframe's depth that must come before the next keyframe. Range [0, 1000].
+    /// Frames good enough to refine a keyframe's depth that must come before the next keyframe.
     pub min_mapped_frames: usize,
-    /// Usage below which the next keyframe is made at once. Range [0, 1].
-    pub urgent_usage: f64,
-    /// Share of good points of the visible ones below which the next keyframe is made (range [0, 1]),
-    pub min_good_of_visible: f32,
-    /// and below which it is made at once. Range [0, 1].
-    pub urgent_good_of_visible: f32,
-    /// Points of the sparse layer below which a pose that only they hold makes a new keyframe, with points of its
-    /// own. Range [0, 100000].
-    pub min_holding_points: usize,
-    /// Keyframes over which the threshold grows to its final value, for a random start; 0 for none. Range [0,
-    /// 1000].
-    pub ramp_keyframes: usize,
-    /// Before a new keyframe takes over, its depth is observed again in this many old ones. Range [0, 100].
+    /// Share of good points of the visible ones below which the next keyframe is made.
+    pub(crate) min_good_of_visible: f32,
+    /// Share of good points of the visible ones below which it is made at once.
+    pub(crate) urgent_good_of_visible: f32,
+    /// Points of the sparse layer below which a pose that only they hold makes a new keyframe, with
+    /// points of its own.
+    pub(crate) min_holding_points: usize,
+    /// Keyframes over which the threshold grows to its final value, for a random start; 0 for none.
+    pub(crate) ramp_keyframes: usize,
+    /// Before a new keyframe takes over, its depth is observed again in this many old ones.
     pub old_keyframes_observed: usize,
-    /// Only keyframes with at least this relative baseline (in median depths) are observed again. Range [0,
-    /// 100].
-    pub min_relative_baseline: f64,
     /// When an old keyframe is used again instead of a new one.
     pub reactivation: ReactivationConfig,
     /// Which frames refine the depth of the keyframe in use.
@@ -207,24 +197,15 @@ pub struct KeyframeConfig {
 
 /// Which tracked frames refine the depth of the keyframe in use: one that is taken from almost the same place as the one before it sees
 /// the same disparities with the same patch of the keyframe, and costs as much as any other.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct RefinementConfig {
-    /// First frames of a keyframe, all of which refine it. Range [0, 1000].
-    pub first_frames: usize,
-    /// Frames in a row that are passed over at most; 0: all frames refine it. Range [0, 1000].
+    /// Frames in a row that are passed over at most; 0: all frames refine it.
     pub max_passed: usize,
-    /// Distance from the last frame that refined it, in units of the mean depth, from which a frame is not passed over. Range [0, 1000].
-    pub max_passed_distance: f64,
 }
 
 impl Default for RefinementConfig {
     fn default() -> Self {
-        Self {
-            first_frames: 2,
-            max_passed: 2,
-            max_passed_distance: 0.03,
-        }
+        Self { max_passed: 2 }
     }
 }
 
@@ -232,43 +213,28 @@ impl RefinementConfig {
     /// LSD-SLAM: all frames.
     #[must_use]
     pub fn thesis() -> Self {
-        Self {
-            max_passed: 0,
-            ..Self::default()
-        }
+        Self { max_passed: 0 }
     }
 }
 
 /// Settings of the return to keyframes that exist already.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct ReactivationConfig {
-    /// Whether a known view is tracked on its old keyframe: where the camera stays in a place, the number of
-    /// keyframes is bounded.
+    /// Whether a known view is tracked on its old keyframe: where the camera stays in a place, the
+    /// number of keyframes is bounded.
     pub enabled: bool,
-    /// Keyframes that were used last, beside the current one, that are left alone. Range [0, 1000000].
-    pub min_keyframes_between: usize,
-    /// First keyframe that may be used again. Range [0, 1000000].
-    pub first_keyframe: u32,
-    /// Closest keyframes on which a frame is tracked to find out. Range [0, 100].
-    pub max_candidates: usize,
-    /// Largest score (distance and lost overlap, 1 where a new keyframe is made) as predicted from the poses,
-    /// the angle standing for the overlap (range [0, 1000]),
-    pub max_predicted_score: f64,
-    /// and as tracking finds it. Range [0, 1000].
-    pub max_score: f64,
-    /// Smallest usage times share of good points. Range [0, 1].
-    pub min_good_usage: f32,
-    /// Largest difference between the tracked and the predicted pose: norm of the twist, median depths and rad.
-    /// A place at which the poses do not agree yet gets a new keyframe. Range [0, 1000].
-    pub max_disagreement: f64,
-    /// From this number of old keyframes that should show about the same there are enough of them: any on which
-    /// the frame can be tracked is used (range [0, 1000000]),
-    pub crowd: usize,
-    /// up to this score (range [0, 1000]),
-    pub crowded_max_score: f64,
-    /// and this difference of the poses. So the number of keyframes in a place is bounded. Range [0, 1000].
-    pub crowded_max_disagreement: f64,
+    /// Keyframes that were used last, beside the current one, that are left alone.
+    pub(crate) min_keyframes_between: usize,
+    /// First keyframe that may be used again.
+    pub(crate) first_keyframe: u32,
+    /// Largest score as tracking finds it.
+    pub(crate) max_score: f64,
+    /// Largest difference between the tracked and the predicted pose: norm of the twist, median
+    /// depths and rad. A place at which the poses do not agree yet gets a new keyframe.
+    pub(crate) max_disagreement: f64,
+    /// From this number of old keyframes that should show about the same there are enough of them:
+    /// any on which the frame can be tracked is used.
+    pub(crate) crowd: usize,
 }
 
 impl Default for ReactivationConfig {
@@ -277,14 +243,9 @@ impl Default for ReactivationConfig {
             enabled: true,
             min_keyframes_between: 2,
             first_keyframe: 0,
-            max_candidates: 2,
-            max_predicted_score: 1.0,
             max_score: 0.8,
-            min_good_usage: 0.7,
             max_disagreement: 0.03,
             crowd: 3,
-            crowded_max_score: 2.0,
-            crowded_max_disagreement: 0.1,
         }
     }
 }
@@ -295,13 +256,11 @@ impl Default for KeyframeConfig {
             distance_weight: 5.0,
             usage_weight: 5.0,
             min_mapped_frames: 4,
-            urgent_usage: 0.35,
             min_good_of_visible: 0.8,
             urgent_good_of_visible: 0.55,
             min_holding_points: 60,
             ramp_keyframes: 0,
             old_keyframes_observed: 3,
-            min_relative_baseline: 0.03,
             reactivation: ReactivationConfig::default(),
             refinement: RefinementConfig::default(),
         }
@@ -331,25 +290,23 @@ impl KeyframeConfig {
                 ..ReactivationConfig::default()
             },
             refinement: RefinementConfig::thesis(),
-            ..Self::default()
         }
     }
 }
 
 /// Which depth of a finished keyframe is published.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct PublicationConfig {
-    /// Smallest validity (confirmation by observations). Range [0, 255].
+    /// Smallest validity (confirmation by observations).
     pub min_validity: u8,
-    /// Whether depth and variance are the smoothed ones, as LSD-SLAM publishes; their variance counts
-    /// neighbours as independent and is too small.
+    /// Whether depth and variance are the smoothed ones, as LSD-SLAM publishes; their variance
+    /// counts neighbours as independent and is too small.
     pub smoothed: bool,
-    /// Factor on the filter's standard deviation, for the tails that wrong matches leave. Range [0.01, 100].
-    pub sigma_factor: f32,
-    /// Relative standard deviation added for the errors that all pixels of a keyframe share: those of the poses
-    /// it was observed from, and of its scale. Range [0, 1].
-    pub relative_sigma: f32,
+    /// Factor on the filter's standard deviation, for the tails that wrong matches leave.
+    pub(crate) sigma_factor: f32,
+    /// Relative standard deviation added for the errors that all pixels of a keyframe share: those
+    /// of the poses it was observed from, and of its scale.
+    pub(crate) relative_sigma: f32,
 }
 
 impl Default for PublicationConfig {

@@ -7,6 +7,10 @@ use monogrid_depth::{DepthConfig, DepthMap, FoundDepth, ObserveStats, PixelFilte
 use monogrid_geometry::Se3;
 use rayon::prelude::*;
 
+/// Points that must remain after the limit on their standard deviation; below, the limit is
+/// doubled until there are.
+const MIN_REFERENCE_POINTS: usize = 1500;
+
 /// Rows per band: fixed, so that the result does not depend on the number of threads.
 const BAND_ROWS: usize = 16;
 
@@ -74,7 +78,7 @@ pub(crate) fn regularize(depth: &mut DepthMap, config: &DepthConfig) {
 pub(crate) fn tracking_samples(depth: &DepthMap, config: &TrackingConfig) -> Vec<DepthSample> {
     let filter = PixelFilter {
         min_validity: config.min_validity,
-        smoothed: config.smoothed_depth,
+        smoothed: true,
         ..PixelFilter::default()
     };
     let mut samples: Vec<DepthSample> = Vec::with_capacity(depth.num_candidates());
@@ -87,7 +91,7 @@ pub(crate) fn tracking_samples(depth: &DepthMap, config: &TrackingConfig) -> Vec
             idepth_var: p.idepth_var,
         });
     });
-    let enough = config.min_reference_points.min(samples.len());
+    let enough = MIN_REFERENCE_POINTS.min(samples.len());
     let mut limit = config.max_relative_sigma;
     while limit <= 4.0 {
         let is_kept = |p: &DepthSample| p.idepth_var <= (limit * p.idepth).powi(2);

@@ -9,7 +9,7 @@
 //! larger becomes the main map. What stays apart is kept, and a later session can still join it.
 
 use crate::KeyframeId;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 /// Identity of a fragment; never reused. 0 is the main map, with which the largest fragment can change places at the end.
 pub type FragmentId = u32;
@@ -18,36 +18,23 @@ pub type FragmentId = u32;
 pub const MAIN_MAP: FragmentId = 0;
 
 /// When a lost camera starts a new fragment of the map, and when that is joined to another.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct FragmentConfig {
-    /// Whether there are fragments; without, a lost camera waits until it sees a known place. They need
-    /// `graph.enabled` and `graph.places.enabled`, without which none would ever be joined.
+    /// Whether there are fragments; without, a lost camera waits until it sees a known place. They
+    /// need `graph.enabled` and `graph.places.enabled`, without which none would ever be joined.
     pub enabled: bool,
-    /// Seconds of video with texture that the camera must be lost before a fragment is started; a known place
-    /// is recognised in less. Range [0.01, 1000000].
+    /// Seconds of video with texture that the camera must be lost before a fragment is started; a
+    /// known place is recognised in less.
     pub min_lost_secs: f64,
-    /// Fragments that are not joined at most; while there are as many, a lost camera waits. Range [0, 1000].
+    /// Fragments that are not joined at most; while there are as many, a lost camera waits.
     pub max_apart: usize,
-    /// Keyframes of a fragment that must be recognised in another one, verified by points in both directions,
-    /// and agree about where the fragment is; one of them must have been aligned directly. More for places that
-    /// look alike. Range [1, 1000].
-    pub min_agreeing: usize,
-    /// Largest difference between two that agree where there is no way between them: median depths, rad, and
-    /// the logarithm of the scale. It grows with the way as drift does (`graph.places.drift`), but starts here,
-    /// because recognised points say less than direct alignment. Range [0.000001, 1000].
-    pub max_disagreement: f64,
-    /// Last frames with a pose that are kept, in case that the camera is lost after them: a start that shows them goes on
-    /// in their map. Range [0, 100].
-    pub bridge_frames: usize,
-    /// Of these, frames that must be tracked on a start. Range [3, 100].
-    pub min_bridge_frames: usize,
-    /// Largest standard deviation of the logarithm of the scale by which their positions agree. Range [0, 10].
-    pub max_bridge_scale_sigma: f64,
-    /// Largest root mean square of the angles between their orientations, degrees. Range [0, 180].
-    pub max_bridge_turn_deg: f64,
-    /// A fragment that is apart at the end becomes the map, and the first map a fragment, where it has at least so many times as many
-    /// frames with a pose; not where the first map is in metres or of an earlier session. Range [1, inf].
+    /// Keyframes of a fragment that must be recognised in another one, verified by points in both
+    /// directions, and agree about where the fragment is; one of them must have been aligned
+    /// directly. More for places that look alike.
+    pub(crate) min_agreeing: usize,
+    /// A fragment that is apart at the end becomes the map, and the first map a fragment, where it
+    /// has at least so many times as many frames with a pose; not where the first map is in metres
+    /// or of an earlier session.
     pub min_times_larger: f64,
 }
 
@@ -58,27 +45,23 @@ impl Default for FragmentConfig {
             min_lost_secs: 1.0,
             max_apart: 8,
             min_agreeing: 2,
-            max_disagreement: 0.1,
-            bridge_frames: 8,
-            min_bridge_frames: 4,
-            max_bridge_scale_sigma: 0.1,
-            max_bridge_turn_deg: 1.0,
             min_times_larger: 1.5,
         }
     }
 }
 
 /// When maps that were made apart are joined.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct MergeConfig {
-    /// Keyframes of each of two maps that must be recognised in the other, verified by points in both directions, and agree pair by pair
-    /// about where the one lies in the other, as `fragments.max_disagreement` and `graph.places.drift` allow. Range [1, 1000].
+    /// Keyframes of each of two maps that must be recognised in the other, verified by points in
+    /// both directions, and agree pair by pair about where the one lies in the other, as
+    /// `fragments.max_disagreement` and `graph.places.drift` allow.
     pub min_agreeing: usize,
-    /// Of these pairs of keyframes, those that direct alignment must have confirmed. Range [0, 1000].
-    pub min_aligned: usize,
-    /// How many times as many keyframes must agree as agree about anything else: places that look alike. Range [1, 1000].
-    pub min_majority: f64,
+    /// Of these pairs of keyframes, those that direct alignment must have confirmed.
+    pub(crate) min_aligned: usize,
+    /// How many times as many keyframes must agree as agree about anything else: places that look
+    /// alike.
+    pub(crate) min_majority: f64,
 }
 
 impl Default for MergeConfig {

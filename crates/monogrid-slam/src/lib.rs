@@ -22,11 +22,11 @@ mod frame;
 mod graph;
 mod inertial_path;
 mod keyframe;
-mod limits;
 mod map;
 pub mod mapping;
 mod policy;
 mod report;
+pub mod settings;
 mod sparse;
 mod start;
 mod store;
@@ -46,8 +46,8 @@ pub use fragments::{
 };
 pub use frame::FrameInput;
 pub use graph::{
-    DirectEdgeConfig, DriftConfig, EdgeKind, GraphConfig, GraphStats, PlaceMethod,
-    PlaceRecognitionConfig, PlacesError, SparseEdgeConfig,
+    DriftConfig, EdgeKind, GraphConfig, GraphStats, PlaceMethod, PlaceRecognitionConfig,
+    PlacesError,
 };
 pub use inertial_path::{InertialPath, SensedFrame};
 pub use keyframe::{

@@ -2,12 +2,41 @@
 
 use crate::tracker::{Support, Tracked};
 use crate::{
-    FragmentConfig, FragmentId, KeyframeConfig, LostReason, PointTrackingConfig, RefinementConfig,
-    TrackingConfig, TrackingState,
+    FragmentConfig, FragmentId, KeyframeConfig, LostReason, RefinementConfig, TrackingConfig,
+    TrackingState,
 };
 use monogrid_alignment::Alignment;
-use monogrid_inertial::EstimateConfig;
 use std::cmp::Reverse;
+
+/// Frames of before a loss that must be tracked on a start.
+const MIN_BRIDGE_FRAMES: usize = 4;
+/// Largest standard deviation of the logarithm of the scale by which their positions agree.
+pub(crate) const MAX_BRIDGE_SCALE_SIGMA: f64 = 0.1;
+/// Largest root mean square of the angles between their orientations, degrees.
+const MAX_BRIDGE_TURN_DEG: f64 = 1.0;
+/// Largest relative standard deviation of the scale behind a loss, against that before it, with
+/// which a fragment of the map is joined by inertial readings alone.
+const MAX_JOIN_SCALE_SIGMA: f64 = 0.03;
+/// Largest standard deviation of its position, as a share of the way during the loss.
+const MAX_JOIN_POSITION_SHARE: f64 = 0.03;
+/// Standard deviation of the position with which it is joined however short the way was, m.
+const JOIN_POSITION_SIGMA_M: f64 = 0.02;
+
+/// Usage below which the next keyframe is made at once.
+const URGENT_USAGE: f64 = 0.35;
+/// First frames of a keyframe, all of which refine it.
+pub(crate) const FIRST_FRAMES: usize = 2;
+/// Distance from the last frame that refined it, in units of the mean depth, from which a frame is
+/// not passed over.
+const MAX_PASSED_DISTANCE: f64 = 0.03;
+
+/// For this many frames after a loss a pose near the prediction needs only the evidence of any
+/// other frame.
+const RETURN_NEAR_FRAMES: usize = 5;
+/// Fewest points that decide where a frame is.
+pub(crate) const MIN_POINT_INLIERS: usize = 30;
+/// Smallest share of the points that were found, for these to decide where a frame is.
+const MIN_POINT_INLIER_SHARE: f64 = 0.5;
 
 /// What a pose must show before it is believed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,8 +51,8 @@ pub(crate) enum Demand {
 
 /// Points that agree leave no doubt. Right after a loss the camera is near where it was expected, and a pose
 /// there needs no more than that of any other frame; a camera that moves on has no second chance.
-pub(crate) fn demand(tracked: &Tracked, lost_in_a_row: usize, config: &TrackingConfig) -> Demand {
-    let is_near = lost_in_a_row <= config.return_near_frames && !tracked.is_surprising;
+pub(crate) fn demand(tracked: &Tracked, lost_in_a_row: usize) -> Demand {
+    let is_near = lost_in_a_row <= RETURN_NEAR_FRAMES && !tracked.is_surprising;
     if tracked.support != Support::None {
         Demand::None
     } else if lost_in_a_row > 0 && !is_near {
@@ -80,13 +109,9 @@ pub(crate) const fn state_at_points(by_pixels: TrackingState, is_far: bool) -> T
 
 /// Whether points decide where a frame is: enough of them agree with one pose, and they are the larger part of
 /// those that were found.
-pub(crate) fn do_points_decide(
-    num_inliers: usize,
-    num_found: usize,
-    config: &PointTrackingConfig,
-) -> bool {
-    num_inliers >= config.min_inliers
-        && num_inliers as f64 >= config.min_inlier_share * num_found as f64
+pub(crate) fn do_points_decide(num_inliers: usize, num_found: usize) -> bool {
+    num_inliers >= MIN_POINT_INLIERS
+        && num_inliers as f64 >= MIN_POINT_INLIER_SHARE * num_found as f64
 }
 
 /// How well a start after a loss is known by the frames that it shares with the map.
@@ -102,11 +127,11 @@ pub(crate) struct BridgeEvidence {
 
 /// Whether the map goes on with a start after a loss: enough frames agree about where it is. Frames of another place agree
 /// with nothing.
-pub(crate) fn is_bridge(evidence: &BridgeEvidence, config: &FragmentConfig) -> bool {
+pub(crate) fn is_bridge(evidence: &BridgeEvidence) -> bool {
     // NaN is no bridge
-    evidence.num_frames >= config.min_bridge_frames
-        && evidence.scale_sigma <= config.max_bridge_scale_sigma
-        && evidence.turn_rms <= config.max_bridge_turn_deg.to_radians()
+    evidence.num_frames >= MIN_BRIDGE_FRAMES
+        && evidence.scale_sigma <= MAX_BRIDGE_SCALE_SIGMA
+        && evidence.turn_rms <= MAX_BRIDGE_TURN_DEG.to_radians()
 }
 
 /// How well the readings of an inertial sensor say where a fragment lies in the map.
@@ -121,12 +146,11 @@ pub(crate) struct PlaceEvidence {
 }
 
 /// Whether a fragment is joined to the map by the readings alone.
-pub(crate) fn is_placed(evidence: &PlaceEvidence, config: &EstimateConfig) -> bool {
-    let share = config.max_join_position_share * evidence.loss_m;
+pub(crate) fn is_placed(evidence: &PlaceEvidence) -> bool {
+    let share = MAX_JOIN_POSITION_SHARE * evidence.loss_m;
     // NaN is no place
-    config.max_join_scale_sigma > 0.0
-        && evidence.scale_sigma <= config.max_join_scale_sigma
-        && evidence.position_sigma_m <= share.max(config.join_position_sigma_m)
+    evidence.scale_sigma <= MAX_JOIN_SCALE_SIGMA
+        && evidence.position_sigma_m <= share.max(JOIN_POSITION_SIGMA_M)
 }
 
 /// Which fragment is the map in the end, if not the main map: the one with the most frames (the oldest of equal ones), where it has many
@@ -177,7 +201,7 @@ pub(crate) fn aligned_score(alignment: &Alignment, config: &KeyframeConfig) -> f
 pub(crate) fn is_new_keyframe(evidence: &KeyframeEvidence, config: &KeyframeConfig) -> bool {
     if evidence.num_mapped < config.min_mapped_frames {
         // A frame that has lost most of the keyframe cannot wait, nor one that its depth does not explain.
-        return evidence.usage < config.urgent_usage
+        return evidence.usage < URGENT_USAGE
             || evidence.good_of_visible < config.urgent_good_of_visible;
     }
     let ramp = if config.ramp_keyframes > 0 && evidence.num_keyframes < config.ramp_keyframes {
@@ -206,9 +230,9 @@ pub(crate) fn is_refining(
     if is_hurried && num_passed < MAX_HURRIED {
         return false;
     }
-    num_mapped < config.first_frames
+    num_mapped < FIRST_FRAMES
         || num_passed >= config.max_passed
-        || relative_distance >= config.max_passed_distance
+        || relative_distance >= MAX_PASSED_DISTANCE
 }
 
 #[cfg(test)]
@@ -259,11 +283,10 @@ mod tests {
 
     #[test]
     fn points_decide_when_enough_agree_and_most_of_those_found() {
-        let config = PointTrackingConfig::default();
-        assert!(do_points_decide(30, 60, &config));
-        assert!(!do_points_decide(29, 29, &config));
-        assert!(!do_points_decide(30, 61, &config));
-        assert!(!do_points_decide(149, 300, &config));
+        assert!(do_points_decide(30, 60));
+        assert!(!do_points_decide(29, 29));
+        assert!(!do_points_decide(30, 61));
+        assert!(!do_points_decide(149, 300));
     }
 
     #[test]
@@ -300,13 +323,12 @@ mod tests {
 
     #[test]
     fn frames_bridge_a_loss_when_enough_of_them_agree() {
-        let config = FragmentConfig::default();
         let limit = BridgeEvidence {
-            num_frames: config.min_bridge_frames,
-            scale_sigma: config.max_bridge_scale_sigma,
-            turn_rms: config.max_bridge_turn_deg.to_radians(),
+            num_frames: MIN_BRIDGE_FRAMES,
+            scale_sigma: MAX_BRIDGE_SCALE_SIGMA,
+            turn_rms: MAX_BRIDGE_TURN_DEG.to_radians(),
         };
-        assert!(is_bridge(&limit, &config));
+        assert!(is_bridge(&limit));
         for worse in [
             BridgeEvidence {
                 num_frames: limit.num_frames - 1,
@@ -325,19 +347,18 @@ mod tests {
                 ..limit
             },
         ] {
-            assert!(!is_bridge(&worse, &config), "{worse:?}");
+            assert!(!is_bridge(&worse), "{worse:?}");
         }
     }
 
     #[test]
     fn readings_place_a_fragment_when_scale_and_position_are_known() {
-        let config = EstimateConfig::default();
         let limit = PlaceEvidence {
-            scale_sigma: config.max_join_scale_sigma,
-            position_sigma_m: 2.0 * config.max_join_position_share,
+            scale_sigma: MAX_JOIN_SCALE_SIGMA,
+            position_sigma_m: 2.0 * MAX_JOIN_POSITION_SHARE,
             loss_m: 2.0,
         };
-        assert!(is_placed(&limit, &config));
+        assert!(is_placed(&limit));
         let worse = [
             (limit.scale_sigma * 1.01, limit.position_sigma_m),
             (limit.scale_sigma, limit.position_sigma_m * 1.01),
@@ -350,24 +371,15 @@ mod tests {
                 position_sigma_m,
                 ..limit
             };
-            assert!(!is_placed(&worse, &config), "{worse:?}");
+            assert!(!is_placed(&worse), "{worse:?}");
         }
         // a camera that hardly moved
         let still = PlaceEvidence {
-            position_sigma_m: config.join_position_sigma_m,
+            position_sigma_m: JOIN_POSITION_SIGMA_M,
             loss_m: 0.0,
             ..limit
         };
-        assert!(is_placed(&still, &config));
-        let never = EstimateConfig {
-            max_join_scale_sigma: 0.0,
-            ..config
-        };
-        let certain = PlaceEvidence {
-            scale_sigma: 0.0,
-            ..still
-        };
-        assert!(!is_placed(&certain, &never));
+        assert!(is_placed(&still));
     }
 
     #[test]
@@ -380,11 +392,10 @@ mod tests {
 
     #[test]
     fn a_pose_that_points_support_is_not_doubted() {
-        let config = TrackingConfig::default();
         let mut tracked = doubtful(true, TrackingState::Degraded);
-        assert_eq!(demand(&tracked, 100, &config), Demand::ConvincingAfterLoss);
+        assert_eq!(demand(&tracked, 100), Demand::ConvincingAfterLoss);
         tracked.support = Support::Confirmed;
-        assert_eq!(demand(&tracked, 100, &config), Demand::None);
+        assert_eq!(demand(&tracked, 100), Demand::None);
     }
 
     /// A pose that no points support.
@@ -400,16 +411,15 @@ mod tests {
 
     #[test]
     fn near_the_prediction_a_loss_is_forgiven_for_some_frames() {
-        let config = TrackingConfig::default();
         let after = |lost_in_a_row: usize, is_surprising: bool, is_degraded: bool| {
             let state = if is_degraded {
                 TrackingState::Degraded
             } else {
                 TrackingState::Good
             };
-            demand(&doubtful(is_surprising, state), lost_in_a_row, &config)
+            demand(&doubtful(is_surprising, state), lost_in_a_row)
         };
-        let near = config.return_near_frames;
+        let near = RETURN_NEAR_FRAMES;
         assert_eq!(after(0, false, false), Demand::None);
         assert_eq!(after(near, false, false), Demand::None);
         assert_eq!(after(near + 1, false, false), Demand::ConvincingAfterLoss);
@@ -449,7 +459,7 @@ mod tests {
             is_new_keyframe(&evidence, &config)
         };
         let mapped = config.min_mapped_frames;
-        assert!(config.min_holding_points > PointTrackingConfig::default().min_inliers);
+        assert!(config.min_holding_points > MIN_POINT_INLIERS);
         assert!(!held_by(None, mapped));
         assert!(!held_by(Some(config.min_holding_points), mapped));
         assert!(held_by(Some(config.min_holding_points - 1), mapped));
@@ -490,7 +500,7 @@ mod tests {
         };
         assert!(!is_new_keyframe(&young, &config));
         let urgent = KeyframeEvidence {
-            usage: config.urgent_usage - 0.01,
+            usage: URGENT_USAGE - 0.01,
             ..young
         };
         assert!(is_new_keyframe(&urgent, &config));
@@ -502,16 +512,13 @@ mod tests {
         let refines = |num_mapped, num_passed, relative_distance| {
             is_refining((num_mapped, num_passed), relative_distance, false, &config)
         };
-        let (first, near) = (config.first_frames, 0.9 * config.max_passed_distance);
+        let (first, near) = (FIRST_FRAMES, 0.9 * MAX_PASSED_DISTANCE);
         assert!(!refines(first, 0, near));
         assert!(
             refines(first - 1, 0, near),
             "the first frames of a keyframe"
         );
-        assert!(
-            refines(first, 0, config.max_passed_distance),
-            "another place"
-        );
+        assert!(refines(first, 0, MAX_PASSED_DISTANCE), "another place");
         assert!(!refines(first, config.max_passed - 1, near));
         assert!(refines(first, config.max_passed, near), "once in a while");
         let every = RefinementConfig::thesis();
@@ -521,7 +528,7 @@ mod tests {
     #[test]
     fn a_frame_that_keeps_the_next_one_waiting_is_passed_over_but_not_for_ever() {
         let config = RefinementConfig::default();
-        let far = 10.0 * config.max_passed_distance;
+        let far = 10.0 * MAX_PASSED_DISTANCE;
         let refines =
             |num_mapped, num_passed| is_refining((num_mapped, num_passed), far, true, &config);
         assert!(!refines(0, 0), "not even the first one");

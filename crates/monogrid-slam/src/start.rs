@@ -3,6 +3,7 @@
 use crate::frame::{BufferedFrame, Frame};
 use crate::median::median;
 use crate::system::Setup;
+use crate::tracker::MIN_POINTS;
 use crate::two_view_start::TwoViewStart;
 use crate::{InitializationMode, LostReason, Scale, SlamConfig};
 use monogrid_depth::DepthMap;
@@ -110,7 +111,7 @@ fn random(frame: Frame, seed: u64, setup: &Setup) -> Option<Started> {
     let config = &setup.config;
     let mut depth = DepthMap::empty(setup.host(frame.image().clone())?, &config.depth);
     depth.initialize_random(seed);
-    (depth.num_known() >= config.tracking.min_points).then(|| Started::new(frame, depth))
+    (depth.num_known() >= MIN_POINTS).then(|| Started::new(frame, depth))
 }
 
 /// A metric start from a depth image. The keyframe's unit is the median depth.
@@ -121,14 +122,14 @@ fn from_seed_depth(frame: &Frame, seed_depth: &GrayImage, setup: &Setup) -> Opti
     }
     let depths = seed_depth.as_slice().iter().copied();
     let mut known: Vec<f32> = depths.filter(|z| z.is_finite() && *z > 0.0).collect();
-    if known.len() < config.tracking.min_points {
+    if known.len() < MIN_POINTS {
         return None;
     }
     let unit = median(&mut known)?;
     let mut depth = DepthMap::empty(setup.host(frame.image().clone())?, &config.depth);
     let sigma = config.initialization.seed_relative_sigma;
     depth.initialize_from_depth(&seed_depth.map(|z| z / unit), sigma);
-    (depth.num_known() >= config.tracking.min_points).then(|| Started {
+    (depth.num_known() >= MIN_POINTS).then(|| Started {
         world_scale: f64::from(unit),
         scale: Scale::Metric,
         ..Started::new(frame.clone(), depth)

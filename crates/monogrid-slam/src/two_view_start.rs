@@ -10,6 +10,7 @@ use crate::median::median;
 use crate::sparse::corner_settings;
 use crate::start::Started;
 use crate::system::Setup;
+use crate::tracker::MIN_POINTS;
 use crate::{InitializationConfig, LostReason, SparseConfig};
 use monogrid_depth::{DepthMap, StereoFrame};
 use monogrid_features::{
@@ -190,7 +191,7 @@ impl TwoViewStart {
             observe(&mut depth, &[stereo], &config.depth);
         }
         regularize(&mut depth, &config.depth);
-        if depth.num_known() < config.tracking.min_points {
+        if depth.num_known() < MIN_POINTS {
             return None;
         }
         let first_step = views.first().map_or_else(Se3::identity, |view| {

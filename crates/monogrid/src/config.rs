@@ -6,29 +6,15 @@ use monogrid_datasets::read_file;
 use monogrid_image::WorkingSize;
 use monogrid_slam::SlamConfig;
 use monogrid_slam::mapping::{IntegrationRule, MapQuality, MappingConfig, SensorModelKind};
-use serde::{Deserialize, Serialize};
+use monogrid_slam::settings::{self, MAPPING, SLAM};
 use std::path::Path;
 use toml::{Table, Value};
 
 /// First line of every `config.toml` that we write.
 const CONFIG_MARKER: &str = "# effective configuration of a monogrid run";
 
-/// Settings and sections that earlier versions had: what they did brought nothing on recordings
-/// that had no part in choosing it (docs/studies.md, *Fewer stages*), or is in `mapping.planes`
-/// now. Recordings may still name them; a file or `--set` must not.
-const GONE: [&str; 7] = [
-    "mapping.envelope",
-    "mapping.fill.max_against",
-    "mapping.fill.max_witnesses",
-    "mapping.fill.tolerance",
-    "mapping.rims",
-    "mapping.straighten",
-    "mapping.unseen",
-];
-
 /// Everything that decides the result of a run, besides its input.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct RunConfig {
     /// The configuration that this one started from.
     pub profile: Profile,
@@ -88,28 +74,20 @@ impl RunConfig {
             })
         });
         let profile = profile.or(named.transpose()?).unwrap_or_default();
-        let mut table = Table::try_from(Self::of(profile)).map_err(Failure::running)?;
-        merge(&mut table, content);
-        table.insert("profile".into(), Value::String(profile.name().into()));
-        let from_file = Self::from_table(&table, &|error| match file {
-            Some(path) => format!("configuration {}: {error}", path.display()),
-            None => error,
-        })?;
-        from_file.with_settings(settings)
+        let mut config = Self::of(profile);
+        if let Some(path) = file {
+            let place = format!("configuration {}", path.display());
+            config.change(content, &place)?;
+        }
+        config.with_settings(settings)
     }
 
     /// These settings with those of `--set key=value` in place.
-    pub fn with_settings(self, settings: &[String]) -> Result<Self, Failure> {
-        if settings.is_empty() {
-            return Ok(self);
-        }
-        let mut table = Table::try_from(&self).map_err(Failure::running)?;
-        let mut config = self;
+    pub fn with_settings(mut self, settings: &[String]) -> Result<Self, Failure> {
         for setting in settings {
-            apply_setting(&mut table, setting)?;
-            config = Self::from_table(&table, &|error| format!("--set {setting}: {error}"))?;
+            self.change(table_of(setting)?, &format!("--set {setting}"))?;
         }
-        Ok(config)
+        Ok(self)
     }
 
     /// As [`Self::resolve`], with nothing of the file but its profile and its section `[mapping]`, so that
@@ -118,45 +96,72 @@ impl RunConfig {
         let Some(path) = file else {
             return Self::resolve(profile, None, &[]);
         };
-        let content = read_table(path)?;
-        Self::of_mapping_table(profile, content)
-            .map_err(|error| Failure::input(format!("configuration {}: {error}", path.display())))
+        let (mut config, content) = Self::of_mapping(profile, read_table(path)?);
+        config.change(content, &format!("configuration {}", path.display()))?;
+        Ok(config)
     }
 
     /// The mapping settings of a recorded configuration; `None` when they cannot be understood.
     pub fn recorded_mapping(text: &str) -> Option<Self> {
-        Self::of_mapping_table(None, of_recording(text)?).ok()
+        let content = with_explicit_resolution(text.parse().ok()?);
+        let (mut config, content) = Self::of_mapping(None, content);
+        config.take(&content).ok()?;
+        Some(config)
     }
 
     /// All settings of a recorded configuration; `None` when they cannot be understood.
     pub fn recorded(text: &str) -> Option<Self> {
-        let content = of_recording(text)?;
+        let content = with_explicit_resolution(text.parse().ok()?);
         let named = content.get("profile").cloned();
         let profile = named.map(Value::try_into).transpose().ok()?;
-        let mut table = Table::try_from(Self::of(profile.unwrap_or_default())).ok()?;
-        merge(&mut table, content);
-        Self::from_table(&table, &|error| error).ok()
+        let mut config = Self::of(profile.unwrap_or_default());
+        config.take(&content).ok()?;
+        Some(config)
     }
 
-    fn of_mapping_table(profile: Option<Profile>, mut content: Table) -> Result<Self, String> {
-        let named: Option<Profile> = content
-            .remove("profile")
-            .and_then(|value| value.try_into().ok());
-        let mut config = Self::of(profile.or(named).unwrap_or_default());
-        if let Some(Value::Table(over)) = content.remove("mapping") {
-            let mut table = Table::try_from(&config.mapping).map_err(|error| error.to_string())?;
-            merge(&mut table, over);
-            config.mapping = Value::Table(table)
-                .try_into()
-                .map_err(|error: toml::de::Error| in_one_line(&error))?;
+    /// The configuration of a profile, and what a file says of maps.
+    fn of_mapping(profile: Option<Profile>, content: Table) -> (Self, Table) {
+        let named = content.get("profile").cloned();
+        let named = named.and_then(|value| value.try_into().ok());
+        let config = Self::of(profile.or(named).unwrap_or_default());
+        let mapping = content.into_iter().filter(|(key, _)| key == "mapping");
+        (config, mapping.collect())
+    }
+
+    /// Takes over settings from a place; those that are settings no longer have no effect, which is said.
+    fn change(&mut self, content: Table, place: &str) -> Result<(), Failure> {
+        let ignored = self.take(&with_explicit_resolution(content));
+        let ignored = ignored.map_err(|error| Failure::input(format!("{place}: {error}")))?;
+        if let Some(said) = no_longer_settings(&ignored) {
+            eprintln!("warning: {place}: {said}");
         }
-        Ok(config)
+        Ok(())
     }
 
-    fn from_table(table: &Table, describe: &dyn Fn(String) -> String) -> Result<Self, Failure> {
-        Value::Table(table.clone())
-            .try_into()
-            .map_err(|error: toml::de::Error| Failure::input(describe(in_one_line(&error))))
+    /// Takes over settings; returns the names among them that are settings no longer.
+    fn take(&mut self, content: &Table) -> Result<Vec<String>, String> {
+        let mut ignored = Vec::new();
+        for (key, value) in content {
+            match key.as_str() {
+                // that is where these settings start from
+                "profile" => {}
+                "seed" => self.seed = whole_number(key, value)?,
+                "working_pixels" => self.working_pixels = whole_number(key, value)?,
+                "slam" => ignored.extend(
+                    settings::apply(SLAM, &mut self.slam, key, value).map_err(|e| e.to_string())?,
+                ),
+                "mapping" => ignored.extend(
+                    settings::apply(MAPPING, &mut self.mapping, key, value)
+                        .map_err(|e| e.to_string())?,
+                ),
+                _ => {
+                    return Err(format!(
+                        "there is no setting or section `{key}`; expected profile, seed, working_pixels, mapping or slam"
+                    ));
+                }
+            }
+        }
+        Ok(ignored)
     }
 
     /// Applies the options of the command line.
@@ -204,14 +209,48 @@ impl RunConfig {
 
     /// The content of `config.toml`.
     pub fn to_toml(&self) -> Result<String, Failure> {
-        let body = toml::to_string(self).map_err(Failure::running)?;
+        let mut table = Table::new();
+        table.insert("profile".into(), Value::String(self.profile.name().into()));
+        // larger numbers do not fit into TOML
+        let seed = i64::try_from(self.seed).map_err(Failure::running)?;
+        table.insert("seed".into(), Value::Integer(seed));
+        let pixels = i64::try_from(self.working_pixels).map_err(Failure::running)?;
+        table.insert("working_pixels".into(), Value::Integer(pixels));
+        let slam = settings::to_table(SLAM, &self.slam, "slam");
+        table.insert("slam".into(), Value::Table(slam));
+        let mapping = settings::to_table(MAPPING, &self.mapping, "mapping");
+        table.insert("mapping".into(), Value::Table(mapping));
+        let body = toml::to_string(&table).map_err(Failure::running)?;
         Ok(format!("{CONFIG_MARKER}\n{body}"))
     }
 }
 
-/// What is wrong, and which setting it is.
-fn in_one_line(error: &toml::de::Error) -> String {
-    error.to_string().trim().replace('\n', " ")
+fn whole_number<T: TryFrom<i64>>(key: &str, value: &Value) -> Result<T, String> {
+    let number = value.as_integer().and_then(|number| number.try_into().ok());
+    number.ok_or_else(|| format!("{key}: found {value}, expected a whole number"))
+}
+
+/// Names in a warning; the others are counted.
+const NAMED: usize = 3;
+
+/// What is wrong with names that are settings no longer.
+fn no_longer_settings(names: &[String]) -> Option<String> {
+    match names {
+        [] => None,
+        [name] => Some(format!("{name} is no longer a setting and has no effect")),
+        names => {
+            let named = names.iter().take(NAMED).cloned().collect::<Vec<_>>();
+            let more = match names.len().saturating_sub(NAMED) {
+                0 => String::new(),
+                more => format!(" and {more} more"),
+            };
+            Some(format!(
+                "{} names are no longer settings and have no effect: {}{more}",
+                names.len(),
+                named.join(", ")
+            ))
+        }
+    }
 }
 
 /// Largest configuration that is read.
@@ -231,64 +270,17 @@ fn with_explicit_resolution(mut content: Table) -> Table {
 fn read_table(path: &Path) -> Result<Table, Failure> {
     let bytes = read_file(path, MAX_CONFIG_BYTES).bad_input()?;
     let text = String::from_utf8_lossy(&bytes);
-    let content = text.parse().map(with_explicit_resolution);
-    let mut content = content.map_err(|error: toml::de::Error| {
+    text.parse().map_err(|error: toml::de::Error| {
         Failure::input(format!(
             "configuration {} is not TOML: {}",
             path.display(),
             error.to_string().trim_end()
         ))
-    })?;
-    match take_gone(&mut content).as_slice() {
-        [] => Ok(content),
-        gone => Err(Failure::input(format!(
-            "configuration {}: {} does not exist any more; take it out of the file",
-            path.display(),
-            gone.join(", ")
-        ))),
-    }
+    })
 }
 
-/// The settings of a recording, but for those that exist no more.
-fn of_recording(text: &str) -> Option<Table> {
-    let mut content = with_explicit_resolution(text.parse().ok()?);
-    take_gone(&mut content);
-    Some(content)
-}
-
-/// Takes settings that exist no more out of a table; those that were there.
-fn take_gone(content: &mut Table) -> Vec<&'static str> {
-    let mut taken = GONE.to_vec();
-    taken.retain(|name| {
-        let mut path = name.split('.');
-        let last = path.next_back().unwrap_or_default();
-        let mut inner = Some(&mut *content);
-        for part in path {
-            inner = inner.and_then(|table| table.get_mut(part)?.as_table_mut());
-        }
-        inner.is_some_and(|table| table.remove(last).is_some())
-    });
-    taken
-}
-
-/// Replaces values of `base` by those of `over`, table by table.
-fn merge(base: &mut Table, over: Table) {
-    for (key, value) in over {
-        match (base.get_mut(&key), value) {
-            (Some(Value::Table(inner)), Value::Table(over)) => merge(inner, over),
-            (_, value) => drop(base.insert(key, value)),
-        }
-    }
-}
-
-/// Whether a key is a setting, or of a section, of this name.
-fn is_part_of(key: &str, name: &str) -> bool {
-    let rest = key.strip_prefix(name);
-    rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
-}
-
-/// `a.b.c=value`; the value is TOML, or a string when it is not.
-fn apply_setting(table: &mut Table, setting: &str) -> Result<(), Failure> {
+/// `a.b.c=value` as a file would have it; the value is TOML, or a string when it is not.
+fn table_of(setting: &str) -> Result<Table, Failure> {
     let Some((key, text)) = setting.split_once('=') else {
         let said = format!("--set {setting}: expected KEY=VALUE, e.g. mapping.resolution=0.02");
         return Err(Failure::input(said));
@@ -298,35 +290,20 @@ fn apply_setting(table: &mut Table, setting: &str) -> Result<(), Failure> {
             "--set {setting}: a profile is all settings at once; choose it with --profile NAME, or with `profile = \"NAME\"` in a file"
         )));
     }
-    if let Some(gone) = GONE.iter().find(|name| is_part_of(key.trim(), name)) {
-        let said = format!("--set {setting}: {gone} does not exist any more; leave it out");
-        return Err(Failure::input(said));
-    }
     let text = text.trim();
     let parsed = format!("value = {text}").parse::<Table>().ok();
     let value = parsed.and_then(|mut parsed| parsed.remove("value"));
     let value = value.unwrap_or_else(|| Value::String(text.to_owned()));
     let mut path: Vec<&str> = key.trim().split('.').collect();
-    let last = path.pop().unwrap_or_default();
-    let mut inner = table;
-    for part in path {
-        let Some(Value::Table(next)) = inner.get_mut(part) else {
-            let said = format!("--set {setting}: there is no section `{part}`");
-            return Err(Failure::input(said));
-        };
-        inner = next;
-    }
-    // `1` for a number with a fraction
-    let value = match (inner.get(last), value) {
-        (Some(Value::Float(_)), Value::Integer(number)) => Value::Float(number as f64),
-        (_, value) => value,
-    };
-    inner.insert(last.to_owned(), value);
-    if key.trim() == "mapping.resolution" {
-        inner.insert("auto_resolution".to_owned(), Value::Boolean(false));
-    }
-    Ok(())
+    let first = path.remove(0);
+    let value = path.into_iter().rev().fold(value, |value, part| {
+        Value::Table(Table::from_iter([(part.to_owned(), value)]))
+    });
+    Ok(Table::from_iter([(first.to_owned(), value)]))
 }
+
+#[cfg(test)]
+mod manual;
 
 #[cfg(test)]
 mod tests {
@@ -442,6 +419,8 @@ mod tests {
     fn unknown_and_malformed_settings_are_named() {
         for (setting, expected) in [
             ("mapping.resolutoin=0.1", "resolutoin"),
+            ("mapping.resolutoin=0.1", "mapping.resolution,"),
+            ("mapping.filtre.min_support=1", "filtre"),
             ("maping.resolution=0.1", "`maping`"),
             ("mapping.resolution", "KEY=VALUE"),
             ("mapping.resolution=wide", "mapping.resolution=wide"),
@@ -482,40 +461,54 @@ mod tests {
     }
 
     #[test]
-    fn settings_that_exist_no_more_are_named_and_recordings_may_have_them() {
+    fn names_that_are_settings_no_longer_are_read_and_have_no_effect() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("c.toml");
-        for name in GONE {
-            let (section, key) = name.rsplit_once('.').unwrap();
-            let text = format!("profile = \"thesis\"\n[mapping]\nmax_range = 4.0\n[{section}]\n");
-            let text = match section {
-                "mapping" => {
-                    format!("profile = \"thesis\"\n[mapping]\nmax_range = 4.0\n[{name}]\nx = 1\n")
-                }
-                _ => format!("{text}{key} = 1\n"),
-            };
-            std::fs::write(&path, &text).unwrap();
-            for failure in [
-                RunConfig::resolve(None, Some(&path), &[]).unwrap_err(),
-                RunConfig::resolve_mapping(None, Some(&path)).unwrap_err(),
-                RunConfig::resolve(None, None, &[format!("{name}.x=1")]).unwrap_err(),
-                RunConfig::resolve(None, None, &[format!("{name}=1")]).unwrap_err(),
-            ] {
-                let said = message(&failure);
-                assert!(said.contains(name) && said.contains("any more"), "{said}");
-            }
-            let expected = MappingConfig {
-                max_range: 4.0,
-                ..MappingConfig::thesis()
-            };
-            let recorded = RunConfig::recorded_mapping(&text).unwrap();
-            assert_eq!(recorded.mapping, expected, "{name}");
-            assert_eq!(RunConfig::recorded(&text).unwrap().mapping, expected);
-        }
-        // a name that only begins like one is as unknown as ever
-        let other = format!("{}s.x=1", GONE[0]);
-        let failure = RunConfig::resolve(None, None, &[other]).unwrap_err();
-        assert!(!message(&failure).contains("any more"));
+        let text = "profile = \"thesis\"\n[mapping]\nmax_range = 4.0\n[mapping.fill]\nsamples = 60\n\
+                    [mapping.rims]\nx = 1\n[slam.tracking]\nmin_points = 9\n";
+        std::fs::write(&path, text).unwrap();
+        let mut expected = RunConfig::of(Profile::Thesis);
+        expected.mapping.max_range = 4.0;
+        assert_eq!(
+            RunConfig::resolve(None, Some(&path), &[]).unwrap(),
+            expected
+        );
+        assert_eq!(RunConfig::recorded(text).unwrap(), expected);
+        assert_eq!(RunConfig::recorded_mapping(text).unwrap(), expected);
+        let mapping = RunConfig::resolve_mapping(None, Some(&path)).unwrap();
+        assert_eq!(mapping, expected);
+        let set = ["slam.depth.max_var=1", "mapping.fill.samples=60"].map(str::to_owned);
+        let config = RunConfig::resolve(None, None, &set).unwrap();
+        assert_eq!(config, RunConfig::of(Profile::Default));
+        let content = text.parse().unwrap();
+        let ignored = RunConfig::of(Profile::Default).take(&content).unwrap();
+        let names = [
+            "mapping.fill.samples",
+            "mapping.rims",
+            "slam.tracking.min_points",
+        ];
+        assert_eq!(ignored, names);
+    }
+
+    #[test]
+    fn a_warning_names_the_first_names_and_counts_the_others() {
+        let names = |n: usize| -> Vec<String> { (0..n).map(|i| format!("a{i}")).collect() };
+        assert_eq!(no_longer_settings(&[]), None);
+        let said = |n| no_longer_settings(&names(n)).unwrap();
+        assert_eq!(said(1), "a0 is no longer a setting and has no effect");
+        assert!(said(3).starts_with("3 names") && said(3).ends_with("a0, a1, a2"));
+        assert!(said(9).ends_with("a0, a1, a2 and 6 more"));
+    }
+
+    /// The defaults are those of the profile; what a profile has beyond its public settings comes back with its name.
+    #[test]
+    fn parameters_that_are_no_settings_come_back_with_the_profile() {
+        let thesis = RunConfig::of(Profile::Thesis);
+        let text = thesis.to_toml().unwrap();
+        assert!(!text.contains("frame_choice") && !text.contains("band_by_slope"));
+        let back = RunConfig::recorded(&text).unwrap();
+        assert_eq!(back.slam.depth, thesis.slam.depth);
+        assert_eq!(back, thesis);
     }
 
     #[test]

@@ -3,21 +3,10 @@
 use anyhow::{Context, bail};
 use monogrid_image::WorkingSize;
 use monogrid_pipeline::Settings;
-use monogrid_slam::SlamConfig;
-use monogrid_slam::mapping::MappingConfig;
-use serde::Deserialize;
+use monogrid_slam::settings::{MAPPING, SLAM, apply};
+use std::io::{Write, stderr};
 use std::path::Path;
-
-/// What a file may hold; what it does not name has its default.
-#[derive(Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-struct ConfigFile {
-    profile: Option<String>,
-    seed: u64,
-    working_pixels: Option<usize>,
-    slam: SlamConfig,
-    mapping: MappingConfig,
-}
+use toml::Table;
 
 /// Reads settings.
 ///
@@ -30,27 +19,42 @@ pub fn read_settings(path: &Path) -> anyhow::Result<Settings> {
 }
 
 fn parse_settings(text: &str) -> anyhow::Result<Settings> {
-    let file: ConfigFile = toml::from_str(text)?;
-    if let Some(profile) = file.profile.filter(|profile| profile != "default") {
-        bail!(
-            "profile is {profile:?}, but settings that are left out would be those of \"default\""
-        );
+    let mut settings = Settings::default();
+    let mut ignored = Vec::new();
+    for (key, value) in &text.parse::<Table>()? {
+        match key.as_str() {
+            "profile" if value.as_str() == Some("default") => {}
+            "profile" => bail!(
+                "profile is {value}, but settings that are left out would be those of \"default\""
+            ),
+            "seed" => settings.seed = value.clone().try_into().context("seed")?,
+            "working_pixels" => {
+                let pixels = value.clone().try_into().context("working_pixels")?;
+                settings.working_size = WorkingSize::Pixels(pixels);
+            }
+            "slam" => ignored.extend(apply(SLAM, &mut settings.slam, key, value)?),
+            "mapping" => ignored.extend(apply(MAPPING, &mut settings.mapping, key, value)?),
+            _ => bail!("there is no setting or section `{key}`"),
+        }
     }
-    file.slam.validate().map_err(anyhow::Error::msg)?;
-    file.mapping.validate().map_err(anyhow::Error::msg)?;
+    settings.slam.validate()?;
+    settings.mapping.validate()?;
     let allowed = WorkingSize::ALLOWED_PIXELS;
-    let pixels = file.working_pixels.unwrap_or(WorkingSize::AUTOMATIC_PIXELS);
-    if !allowed.contains(&pixels) {
+    if let WorkingSize::Pixels(pixels) = settings.working_size
+        && !allowed.contains(&pixels)
+    {
         let (least, most) = (allowed.start(), allowed.end());
         bail!("working_pixels is {pixels}, allowed are {least} to {most}");
     }
-    Ok(Settings {
-        slam: file.slam,
-        mapping: file.mapping,
-        seed: file.seed,
-        working_size: WorkingSize::Pixels(pixels),
-        ..Settings::default()
-    })
+    if !ignored.is_empty() {
+        let names = ignored.join(", ");
+        // a message that cannot be written is no reason to stop
+        let _ = writeln!(
+            stderr(),
+            "warning: no longer settings, without effect: {names}"
+        );
+    }
+    Ok(settings)
 }
 
 #[cfg(test)]
@@ -65,11 +69,15 @@ mod tests {
         assert_eq!(settings.working_size, WorkingSize::AUTOMATIC);
         let small = parse_settings("working_pixels = 120000\n").unwrap();
         assert_eq!(small.working_size, WorkingSize::Pixels(120_000));
+        // a name of earlier versions
+        let old = parse_settings("[mapping]\nrims = 1\nresolution = 0.1\n").unwrap();
+        assert_eq!(old.mapping.resolution, 0.1);
         for (text, named) in [
             ("[mapping]\nresolution = -1.0\n", "resolution"),
             ("[mapping]\nresolutio = 0.1\n", "resolutio"),
             ("profile = \"thesis\"\n", "thesis"),
             ("working_pixels = 0\n", "working_pixels"),
+            ("sed = 1\n", "`sed`"),
         ] {
             let error = parse_settings(text).unwrap_err();
             assert!(format!("{error:#}").contains(named), "{error:#}");

@@ -5,6 +5,13 @@ use super::{
 };
 use monogrid_geometry::{Mat7, Sim3, Vec7};
 
+/// Smallest share of the points that must be visible in the other keyframe.
+const MIN_VISIBLE_SHARE: f32 = 0.25;
+/// Smallest share of the visible points that meet a depth in the other keyframe.
+const MIN_DEPTH_SHARE: f32 = 0.1;
+/// Largest ratio of the units of both keyframes, relative to the expected one.
+const MAX_SCALE_CHANGE: f64 = 2.0;
+
 /// A similarity measured between two keyframes in both directions.
 #[derive(Clone, Debug)]
 pub struct SimilarityConstraint {
@@ -77,7 +84,7 @@ fn check(
     strictness: f32,
     config: &SimilarityConfig,
 ) -> Result<(), Disagreement> {
-    if found.visible_share < strictness * config.min_visible_share {
+    if found.visible_share < strictness * MIN_VISIBLE_SHARE {
         return Err(Disagreement::Overlap(found.visible_share));
     }
     if found.good_of_visible < strictness * config.min_good_of_visible {
@@ -87,11 +94,11 @@ fn check(
     if correlation < f64::from(strictness) * config.min_correlation {
         return Err(Disagreement::Correlation(correlation));
     }
-    if found.depth_share < strictness * config.min_depth_share {
+    if found.depth_share < strictness * MIN_DEPTH_SHARE {
         return Err(Disagreement::Depth(found.depth_share));
     }
     let change = found.state.b_from_a.scale / initial.b_from_a.scale;
-    if !(1.0 / config.max_scale_change..=config.max_scale_change).contains(&change) {
+    if !(1.0 / MAX_SCALE_CHANGE..=MAX_SCALE_CHANGE).contains(&change) {
         return Err(Disagreement::Scale(change));
     }
     Ok(())

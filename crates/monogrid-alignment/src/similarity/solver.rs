@@ -9,6 +9,16 @@ use crate::Robust;
 use monogrid_geometry::{Mat7, Sim3};
 use nalgebra::SVector;
 
+/// Standard deviation of the image noise, grey levels.
+const SIGMA_INTENSITY: f32 = 4.0;
+/// Largest number of iterations on each level.
+const MAX_ITERATIONS: usize = 8;
+/// A level has converged when the cost falls by less than this share.
+const MIN_COST_DECREASE: f64 = 1e-3;
+/// Pixels that count as one independent measurement in the information: neighbours share their
+/// noise, their depth's smoothing and the errors of the model.
+const PIXELS_PER_MEASUREMENT: f64 = 8.0;
+
 /// Result of an alignment in one direction. Whether it is to be believed is the caller's decision.
 #[derive(Clone, Debug)]
 pub struct SimilarityAlignment {
@@ -57,7 +67,7 @@ pub fn align_similarity(
         scale = Some(solved.scale);
         iterations += solved.iterations;
         if level <= finest {
-            return summarise(&solved, iterations, config);
+            return summarise(&solved, iterations);
         }
         level -= 1;
     }
@@ -136,7 +146,7 @@ fn align_level(
     }
     let mut iterations = 0;
     let mut lambda = 0.0;
-    while iterations < config.max_iterations && lambda <= MAX_LAMBDA {
+    while iterations < MAX_ITERATIONS && lambda <= MAX_LAMBDA {
         iterations += 1;
         let step = solve(&linear, lambda).filter(|step| step.rows(0, 7).norm() < MAX_STEP);
         let Some(step) = step else {
@@ -149,7 +159,7 @@ fn align_level(
         if trial_cost < cost {
             (state, linear) = (candidate, trial);
             lambda = if lambda < 1e-3 { 0.0 } else { lambda * 0.25 };
-            if 1.0 - trial_cost / cost < config.min_cost_decrease {
+            if 1.0 - trial_cost / cost < MIN_COST_DECREASE {
                 break;
             }
         } else if step.norm_squared() < 1e-10 {
@@ -170,7 +180,7 @@ fn align_level(
 impl SimilarityWeighting {
     fn initial(config: &SimilarityConfig) -> Self {
         Self {
-            intensity_var: config.sigma_intensity.powi(2),
+            intensity_var: SIGMA_INTENSITY.powi(2),
             shared_depth_var: config.shared_depth_sigma.powi(2),
             robust: config.robust,
             scale: [1.0; 2],
@@ -211,16 +221,12 @@ fn solve(linear: &SimilarityLinearization, lambda: f64) -> Option<SVector<f64, U
     step.iter().all(|x| x.is_finite()).then_some(step)
 }
 
-fn summarise(
-    last: &LevelResult,
-    iterations: usize,
-    config: &SimilarityConfig,
-) -> SimilarityAlignment {
+fn summarise(last: &LevelResult, iterations: usize) -> SimilarityAlignment {
     let linear = &last.linear;
     let visible = linear.num_visible.max(1) as f32;
     let information = linear
         .similarity_information()
-        .map(|h| h / config.pixels_per_measurement)
+        .map(|h| h / PIXELS_PER_MEASUREMENT)
         .filter(|h| h.iter().all(|x| x.is_finite()) && h.cholesky().is_some());
     SimilarityAlignment {
         state: last.state,

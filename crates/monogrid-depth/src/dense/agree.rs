@@ -3,6 +3,9 @@
 use super::{DenseConfig, DenseDepth};
 use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 
+/// Relative difference of two depths of one surface.
+const TOLERANCE: f64 = 0.02;
+
 /// Pairs of depths that differ by less than this share tell how well two keyframes agree: beyond, one of them is
 /// wrong altogether.
 const COMPARABLE: f32 = 0.1;
@@ -34,8 +37,8 @@ struct Opinions {
 }
 
 impl DenseDepth {
-    /// The depth of the pixels that at least `config.min_agreeing` witnesses confirm to within `config.tolerance` (one less where they agree
-    /// closely) and are not outvoted by others, with the variance of the own costs, of the disagreement at the pixel, and of the disagreement that
+    /// The depth of the pixels that at least `config.min_agreeing` witnesses confirm to within 2 % (one
+    /// less where they agree closely) and are not outvoted by others, with the variance of the own costs, of the disagreement at the pixel, and of the disagreement that
     /// all pixels share. It is not the mean with that of the witnesses: a mean agrees with what it is made of, and how far keyframes
     /// disagree is what tells the uncertainty of the map.
     ///
@@ -53,7 +56,7 @@ impl DenseDepth {
                     continue;
                 }
                 let point = camera.unproject(&Vec2::new(x as f64, y as f64)) / f64::from(idepth);
-                let opinions = heard(&point, witnesses, &camera, config, &mut differences);
+                let opinions = heard(&point, witnesses, &camera, &mut differences);
                 if opinions.is_held(config) {
                     let own = self.sigma.at(x, y) / idepth;
                     agreed.idepth.set(x, y, idepth);
@@ -75,7 +78,7 @@ impl Opinions {
     /// Whether enough witnesses agree and they are not outvoted: what sees through the point counts as one, what sees something before it as a
     /// half. One witness less will do if none sees through the point and the others agree twice as closely.
     fn is_held(&self, config: &DenseConfig) -> bool {
-        let tolerance = 0.5 * config.tolerance as f32;
+        let tolerance = 0.5 * TOLERANCE as f32;
         let is_close = self.squares <= self.agreeing as f32 * tolerance * tolerance;
         let missing = usize::from(self.against == 0 && is_close);
         let needed = config.min_agreeing.saturating_sub(missing).max(1);
@@ -95,7 +98,6 @@ fn heard(
     point: &Vec3,
     witnesses: &[Witness],
     camera: &Pinhole,
-    config: &DenseConfig,
     differences: &mut Differences,
 ) -> Opinions {
     let mut opinions = Opinions::default();
@@ -104,7 +106,7 @@ fn heard(
             continue;
         };
         differences.add(difference);
-        if difference.abs() <= config.tolerance as f32 {
+        if difference.abs() <= TOLERANCE as f32 {
             opinions.agreeing += 1;
             opinions.sum += difference;
             opinions.squares += difference * difference;

@@ -13,13 +13,10 @@ mod warp;
 mod winner;
 
 use crate::PixelDepth;
-use crate::config::{ConfigError, Limit, first_outside};
 use crate::multi_view::SourceView;
-use aggregate::MAX_STEP_COST;
 pub use agree::Witness;
 use monogrid_geometry::Pinhole;
 use monogrid_image::{GrayImage, Image, half_size};
-use serde::{Deserialize, Serialize};
 use sweep::CostVolume;
 use warp::Source;
 
@@ -33,31 +30,21 @@ const MIN_PLANES: usize = 24;
 const MIN_EDGE_PX: usize = 16;
 
 /// Settings of [`dense_depth`] and [`DenseDepth::agreed`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct DenseConfig {
-    /// Most planes. Default 80. Range [24, 512].
+    /// Most planes.
     pub max_planes: usize,
-    /// From plane to plane a match moves by this in the middle of the source that it moves most in, px of the half image. Default
-    /// 1. Range [0.05, 100].
+    /// From plane to plane a match moves by this in the middle of the source that it moves most in,
+    /// px of the half image.
     pub step_px: f64,
-    /// Noise of the images, grey levels: windows with less contrast correlate with nothing. Default 2. Range [0.01, 100].
-    pub grey_sigma: f64,
-    /// Cost of a step to the next plane between two pixels; windows that do not correlate at all cost 60. Default 6. Range
-    /// [0, 63].
-    pub small_step_cost: u16,
-    /// Cost of any larger step, less where the image has an edge. Default 40. Range [0, 63].
-    pub jump_cost: u16,
-    /// All other planes must cost more than the best one by this share. Default 0.03. Range [0, 10].
-    pub min_uniqueness: f64,
-    /// The mean of the costs of all planes must be higher than that of the best one by this: plain windows look the same in all of
-    /// them. Default 5. Range [0, 60].
-    pub min_contrast: f64,
-    /// Relative difference of two depths of one surface. Default 0.02. Range [0.0001, 0.1].
-    pub tolerance: f64,
-    /// Other keyframes that must have the same depth; one less is enough where none sees through the point and the depths differ by less than half
-    /// the tolerance. Default 2. Range [1, 100].
-    pub min_agreeing: usize,
+    /// Cost of a step to the next plane between two pixels; windows that do not correlate at all
+    /// cost 60.
+    pub(crate) small_step_cost: u16,
+    /// Cost of any larger step, less where the image has an edge.
+    pub(crate) jump_cost: u16,
+    /// Other keyframes that must have the same depth; one less is enough where none sees through
+    /// the point and the depths differ by less than half the tolerance.
+    pub(crate) min_agreeing: usize,
 }
 
 impl Default for DenseConfig {
@@ -65,36 +52,10 @@ impl Default for DenseConfig {
         Self {
             max_planes: 80,
             step_px: 1.0,
-            grey_sigma: 2.0,
             small_step_cost: 6,
             jump_cost: 40,
-            min_uniqueness: 0.03,
-            min_contrast: 5.0,
-            tolerance: 0.02,
             min_agreeing: 2,
         }
-    }
-}
-
-impl DenseConfig {
-    /// Checks all settings.
-    ///
-    /// # Errors
-    /// The first value outside its range.
-    pub fn validate(&self) -> Result<(), ConfigError> {
-        let [small_step, jump] = [self.small_step_cost, self.jump_cost].map(f64::from);
-        let most = f64::from(MAX_STEP_COST);
-        first_outside([
-            Limit("max_planes", self.max_planes as f64, 24.0, 512.0),
-            Limit("step_px", self.step_px, 0.05, 100.0),
-            Limit("grey_sigma", self.grey_sigma, 0.01, 100.0),
-            Limit("small_step_cost", small_step, 0.0, most),
-            Limit("jump_cost", jump, 0.0, most),
-            Limit("min_uniqueness", self.min_uniqueness, 0.0, 10.0),
-            Limit("min_contrast", self.min_contrast, 0.0, 60.0),
-            Limit("tolerance", self.tolerance, 0.0001, 0.1),
-            Limit("min_agreeing", self.min_agreeing as f64, 1.0, 100.0),
-        ])
     }
 }
 
@@ -136,7 +97,7 @@ pub fn dense_depth(
         return None;
     }
     let idepths = planes(&half, seeds, &sources, config)?;
-    let volume = CostVolume::new(image, &sources, idepths, config);
+    let volume = CostVolume::new(image, &sources, idepths);
     Some(winner::winners(&volume, &half, config))
 }
 

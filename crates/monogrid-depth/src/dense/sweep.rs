@@ -1,10 +1,12 @@
 //! How well the sources agree with each plane: the cost volume.
 
-use super::DenseConfig;
 use super::warp::{Source, WarpOfPlane, padded, sums_of_four, warp_row};
 use monogrid_image::lanes::{F32x8, I32x8, LANES, Lanes};
 use monogrid_image::{Image, for_lanes};
 use wide::i16x8;
+
+/// Noise of the images, grey levels: windows with less contrast correlate with nothing.
+pub(super) const GREY_SIGMA: f64 = 2.0;
 
 /// Half the edge of the compared windows, px.
 pub(super) const RADIUS: usize = 2;
@@ -27,15 +29,10 @@ pub(super) struct CostVolume {
 impl CostVolume {
     /// One less the normalised correlation of windows of the keyframe with those of the sources at half their size, the mean of the
     /// two best: in others the surface may be covered.
-    pub fn new(
-        image: &Image<u8>,
-        sources: &[Source],
-        idepths: Vec<f32>,
-        config: &DenseConfig,
-    ) -> Self {
+    pub fn new(image: &Image<u8>, sources: &[Source], idepths: Vec<f32>) -> Self {
         let image = sums_of_four(image);
         let (width, height) = (image.width(), image.height());
-        let windows = Windows::new(&image, config);
+        let windows = Windows::new(&image);
         let mut strips: Vec<Strip> = sources.iter().map(|_| Strip::new(width)).collect();
         let mut best = Best(std::array::from_fn(|_| vec![f32::INFINITY; padded(width)]));
         let planes = idepths.len();
@@ -110,9 +107,9 @@ const WINDOW: i32 = (EDGE * EDGE) as i32;
 const QUARTERS: f64 = 4.0;
 
 impl Windows {
-    fn new(image: &Image<u16>, config: &DenseConfig) -> Self {
+    fn new(image: &Image<u16>) -> Self {
         let (row, height) = (padded(image.width()), image.height());
-        let grey_sigma = QUARTERS * config.grey_sigma * f64::from(WINDOW);
+        let grey_sigma = QUARTERS * GREY_SIGMA * f64::from(WINDOW);
         let mut windows = Self {
             row,
             noise: (grey_sigma * grey_sigma) as f32,

@@ -1,4 +1,5 @@
 use super::aggregate::aggregate;
+use super::sweep::GREY_SIGMA;
 use super::warp::{padded, warp_row, warp_row_with};
 use super::*;
 use monogrid_geometry::{Rotation, Sim3, Vec2, Vec3};
@@ -198,7 +199,7 @@ fn plain_cost(half: &Image<f32>, warped: &[Warped], [x, y]: [usize; 2]) -> f64 {
     };
     let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let own = window(&|u, v| half.at(u, v));
-    let noise = 25.0 * DenseConfig::default().grey_sigma.powi(2);
+    let noise = 25.0 * GREY_SIGMA.powi(2);
     let mut costs: Vec<f64> = warped
         .iter()
         .filter(|warped| warped.unseen[y][x] <= 0.0)
@@ -230,8 +231,7 @@ fn costs_are_those_of_windows_compared_one_by_one() {
         .collect();
     let half = half_size(&image.map(f32::from));
     let idepths = vec![0.3, 0.4, 0.55];
-    let config = DenseConfig::default();
-    let volume = CostVolume::new(&image, &sources, idepths.clone(), &config);
+    let volume = CostVolume::new(&image, &sources, idepths.clone());
     let (width, height) = (half.width(), half.height());
     for (k, idepth) in idepths.iter().enumerate() {
         let warped: Vec<Warped> = sources

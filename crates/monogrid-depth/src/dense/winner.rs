@@ -5,6 +5,12 @@ use super::sweep::{CostVolume, RADIUS};
 use super::{DenseConfig, DenseDepth};
 use monogrid_image::{GrayImage, Image};
 
+/// The mean of the costs of all planes must be higher than that of the best one by this: plain
+/// windows look the same in all of them.
+const MIN_CONTRAST: f64 = 5.0;
+/// All other planes must cost more than the best one by this share.
+const MIN_UNIQUENESS: f64 = 0.03;
+
 /// Planes beside the best one that are of the same minimum.
 const SAME_MINIMUM: usize = 2;
 /// A sum of costs that is this much higher is one standard deviation away: eight directions carry each cost.
@@ -21,7 +27,7 @@ const ONE_SURFACE: f32 = 0.04;
 pub(super) fn winners(volume: &CostVolume, image: &GrayImage, config: &DenseConfig) -> DenseDepth {
     let mut depth = DenseDepth::unknown(volume.width, volume.height);
     aggregate(volume, image, config, |pixel, sums| {
-        if let Some((idepth, sigma)) = winner(volume, pixel, sums, config) {
+        if let Some((idepth, sigma)) = winner(volume, pixel, sums) {
             depth.idepth.as_mut_slice()[pixel] = idepth;
             depth.sigma.as_mut_slice()[pixel] = sigma;
         }
@@ -30,12 +36,7 @@ pub(super) fn winners(volume: &CostVolume, image: &GrayImage, config: &DenseConf
 }
 
 /// Inverse depth and standard deviation of one pixel.
-fn winner(
-    volume: &CostVolume,
-    pixel: usize,
-    sums: &[i16],
-    config: &DenseConfig,
-) -> Option<(f32, f32)> {
+fn winner(volume: &CostVolume, pixel: usize, sums: &[i16]) -> Option<(f32, f32)> {
     let planes = sums.len();
     let best = (0..planes).min_by_key(|k| sums[*k])?;
     if best == 0 || best + 1 == planes {
@@ -43,14 +44,14 @@ fn winner(
     }
     let costs = volume.at(pixel);
     let mean = costs.iter().map(|c| f32::from(*c)).sum::<f32>() / planes as f32;
-    if mean - f32::from(costs[best]) < config.min_contrast as f32 {
+    if mean - f32::from(costs[best]) < MIN_CONTRAST as f32 {
         return None;
     }
     let [before, least, after] = [sums[best - 1], sums[best], sums[best + 1]].map(f32::from);
     let lower = sums[..best.saturating_sub(SAME_MINIMUM)].iter();
     let others = lower.chain(&sums[(best + SAME_MINIMUM + 1).min(planes)..]);
     let rival = others.min().map_or(f32::INFINITY, |s| f32::from(*s));
-    if rival < least * (1.0 + config.min_uniqueness as f32) {
+    if rival < least * (1.0 + MIN_UNIQUENESS as f32) {
         return None;
     }
     let curvature = (before + after - 2.0 * least).max(1.0);

@@ -21,10 +21,8 @@ mod sight;
 pub use misfit::epipolar_misfits;
 
 use crate::PixelDepth;
-use crate::config::{ConfigError, Limit, first_outside};
 use monogrid_geometry::{Pinhole, Sim3};
 use monogrid_image::Image;
-use serde::{Deserialize, Serialize};
 use sight::Projected;
 
 /// Another keyframe.
@@ -40,40 +38,15 @@ pub struct SourceView<'a> {
 ///
 /// A disparity is the way of the match in px along the gradient if the inverse depth changed by all of
 /// itself: at 50 px, 2 % are one pixel.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct MultiViewConfig {
-    /// Whether every second pixel, as on a chess board, takes the mean of the refined ones around it where these
-    /// agree; half the work. Default true.
+    /// Whether every second pixel, as on a chess board, takes the mean of the refined ones around
+    /// it where these agree; half the work.
     pub interpolate: bool,
-    /// Sources per pixel, those of the largest disparity. Default 5. Range [2, 100].
+    /// Sources per pixel, those of the largest disparity.
     pub max_sources: usize,
-    /// Of these, so many of the smallest disparity search. Default 2. Range [1, 100].
-    pub search_sources: usize,
-    /// Smallest disparity of a source, px. Default 15. Range [0.1, 1000].
-    pub min_disparity_px: f64,
-    /// Largest disparity, px, at least `min_disparity_px`. Default 80: far more, and views differ too much. Range
-    /// [15, 10000].
-    pub max_disparity_px: f64,
-    /// The search reaches so many standard deviations, ... Default 3. Range [0.01, 100].
-    pub search_sigmas: f64,
-    /// ... but at least this share of the inverse depth, ... Default 0.04. Range [0.0001, 0.499].
-    pub min_search: f64,
-    /// ... and at most this, at least `min_search`. Default 0.15. Range [0.04, 0.499].
-    pub max_search: f64,
-    /// Step of the search, px. Default 1. Range [0.05, 100].
-    pub step_px: f64,
-    /// Iterations after the search. Default 2. Range [1, 100].
-    pub iterations: usize,
-    /// Two sources must correlate by this at least. Default 0.7. Range [0.01, 0.999].
-    pub min_correlation: f64,
-    /// Smallest deviation of the residuals of a source, grey levels. Default 2. Range [0.01, 100].
-    pub grey_sigma: f64,
-    /// Residuals of a patch that count as one, since neighbours share their errors. Default 10. Range [1,
-    /// 1000000].
-    pub correlated_residuals: f64,
-    /// Relative standard deviation added for what all pixels share (poses). Default 0.008. Range [0, 1].
-    pub relative_sigma: f64,
+    /// Smallest disparity of a source, px.
+    pub(crate) min_disparity_px: f64,
 }
 
 impl Default for MultiViewConfig {
@@ -81,44 +54,8 @@ impl Default for MultiViewConfig {
         Self {
             interpolate: true,
             max_sources: 5,
-            search_sources: 2,
             min_disparity_px: 15.0,
-            max_disparity_px: 80.0,
-            search_sigmas: 3.0,
-            min_search: 0.04,
-            max_search: 0.15,
-            step_px: 1.0,
-            iterations: 2,
-            min_correlation: 0.7,
-            grey_sigma: 2.0,
-            correlated_residuals: 10.0,
-            relative_sigma: 0.008,
         }
-    }
-}
-
-impl MultiViewConfig {
-    /// Checks all settings.
-    ///
-    /// # Errors
-    /// The first value outside its range.
-    pub fn validate(&self) -> Result<(), ConfigError> {
-        let (min_px, max_px) = (self.min_disparity_px, self.max_disparity_px);
-        first_outside([
-            Limit("max_sources", self.max_sources as f64, 2.0, 100.0),
-            Limit("search_sources", self.search_sources as f64, 1.0, 100.0),
-            Limit("min_disparity_px", min_px, 0.1, 1000.0),
-            Limit("max_disparity_px", max_px, min_px, 10_000.0),
-            Limit("search_sigmas", self.search_sigmas, 0.01, 100.0),
-            Limit("min_search", self.min_search, 0.0001, 0.499),
-            Limit("max_search", self.max_search, self.min_search, 0.499),
-            Limit("step_px", self.step_px, 0.05, 100.0),
-            Limit("iterations", self.iterations as f64, 1.0, 100.0),
-            Limit("min_correlation", self.min_correlation, 0.01, 0.999),
-            Limit("grey_sigma", self.grey_sigma, 0.01, 100.0),
-            Limit("correlated_residuals", self.correlated_residuals, 1.0, 1e6),
-            Limit("relative_sigma", self.relative_sigma, 0.0, 1.0),
-        ])
     }
 }
 

@@ -6,6 +6,27 @@ use crate::PixelDepth;
 use monogrid_image::lanes::Lanes;
 use monogrid_image::{Image, for_lanes};
 
+/// Of the sources of a pixel, so many of the smallest disparity search.
+const SEARCH_SOURCES: usize = 2;
+/// The search reaches so many standard deviations of the inverse depth.
+const SEARCH_SIGMAS: f64 = 3.0;
+/// Least reach of the search, as a share of the inverse depth.
+const MIN_SEARCH: f64 = 0.04;
+/// Largest reach of the search, as a share of the inverse depth.
+const MAX_SEARCH: f64 = 0.15;
+/// Step of the search, px.
+const SEARCH_STEP_PX: f64 = 1.0;
+/// Iterations after the search.
+const ITERATIONS: usize = 2;
+/// Two sources must correlate by this at least.
+const MIN_CORRELATION: f64 = 0.7;
+/// Smallest deviation of the residuals of a source, grey levels.
+const MIN_GREY_SIGMA: f64 = 2.0;
+/// Residuals of a patch that count as one, since neighbours share their errors.
+const CORRELATED_RESIDUALS: f64 = 10.0;
+/// Relative standard deviation added for what all pixels share (poses).
+const SHARED_SIGMA: f64 = 0.008;
+
 /// Steps of the search to each side, at most.
 const MAX_STEPS: usize = 15;
 /// Sources below this correlation take no part in an iteration.
@@ -71,7 +92,7 @@ impl<'a> Search<'a> {
             let (start, step) = self.best_of_range(pixel, &patch)?;
             self.iterate(start, 1.5 * step, 2, &patch)
         })?;
-        let variance = variance + self.config.relative_sigma.powi(2);
+        let variance = variance + SHARED_SIGMA.powi(2);
         Some(fused(pixel, idepth, variance * idepth * idepth))
     }
 
@@ -100,13 +121,12 @@ impl<'a> Search<'a> {
     /// The best correlation around the present depth, over the sources of the smallest disparity: the
     /// inverse depth and the relative step of the search. `None` at the ends of the range.
     fn best_of_range(&self, pixel: &PixelDepth, patch: &Patch) -> Option<(f64, f64)> {
-        let config = self.config;
         let idepth = f64::from(pixel.idepth);
         let sigma = f64::from(pixel.idepth_var).sqrt() / idepth;
-        let range = (config.search_sigmas * sigma).clamp(config.min_search, config.max_search);
-        let first = self.sights.len().saturating_sub(config.search_sources);
+        let range = (SEARCH_SIGMAS * sigma).clamp(MIN_SEARCH, MAX_SEARCH);
+        let first = self.sights.len().saturating_sub(SEARCH_SOURCES);
         let sights = &self.sights[first..];
-        let step = (config.step_px / sights.first()?.disparity).min(range / 2.0);
+        let step = (SEARCH_STEP_PX / sights.first()?.disparity).min(range / 2.0);
         let steps = ((range / step).ceil() as usize).min(MAX_STEPS);
         let at = |index: usize| idepth * (1.0 + step * (index as f64 - steps as f64));
         let mut costs = [f32::INFINITY; 2 * MAX_STEPS + 1];
@@ -134,12 +154,12 @@ impl<'a> Search<'a> {
         let converged = CONVERGED_PX / self.sights.first()?.disparity;
         let mut idepth = start;
         let mut variance = f64::INFINITY;
-        for _ in 0..self.config.iterations {
-            let normal = normal_equation(&self.sights, idepth, patch, self.config);
+        for _ in 0..ITERATIONS {
+            let normal = normal_equation(&self.sights, idepth, patch);
             if normal.agreeing < min_agreeing || normal.hessian <= 0.0 {
                 return None;
             }
-            variance = normal.variance(self.config.correlated_residuals);
+            variance = normal.variance(CORRELATED_RESIDUALS);
             let update = -(normal.gradient / normal.hessian).clamp(-reach, reach);
             idepth *= 1.0 + update;
             if (idepth / start - 1.0).abs() > reach {
@@ -220,7 +240,6 @@ for_lanes! {
         sights: &[Sight<'_>],
         idepth: f64,
         patch: &Patch,
-        config: &MultiViewConfig,
     ) -> Normal;
     /// One less the normalised correlation, limited.
     fn cost_at = cost_at_with, (sight: &Sight<'_>, idepth: f64, patch: &Patch) -> f32;
@@ -232,7 +251,6 @@ pub(super) fn normal_equation_with<L: Lanes>(
     sights: &[Sight<'_>],
     idepth: f64,
     patch: &Patch,
-    config: &MultiViewConfig,
 ) -> Normal {
     let mut normal = Normal::default();
     for sight in sights {
@@ -258,14 +276,14 @@ pub(super) fn normal_equation_with<L: Lanes>(
         if correlation < MIN_USED_CORRELATION {
             continue;
         }
-        normal.agreeing += usize::from(correlation > config.min_correlation as f32);
+        normal.agreeing += usize::from(correlation > MIN_CORRELATION as f32);
         // what a gain explains is no residual
         let value = patch.without(gain, value);
         let slope = patch.without(patch.dot(&slope), slope);
         let (jr, jj) = (dot(&slope, &value), dot(&slope, &slope));
         let rr = f64::from(dot(&value, &value));
         let freedom = (SAMPLES - 3) as f64;
-        let variance = (rr / freedom).max(config.grey_sigma.powi(2));
+        let variance = (rr / freedom).max(MIN_GREY_SIGMA.powi(2));
         let (hessian, gradient) = (f64::from(jj) / variance, f64::from(jr) / variance);
         if hessian > 0.0 {
             normal.hessian += hessian;

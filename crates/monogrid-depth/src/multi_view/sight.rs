@@ -6,6 +6,9 @@ use monogrid_geometry::{Pinhole, Vec3};
 use monogrid_image::Image;
 use monogrid_image::lanes::{Lanes, bilinear};
 
+/// Largest disparity of a source, px: with far more, views differ too much.
+const MAX_DISPARITY_PX: f64 = 80.0;
+
 /// Samples that are looked up together.
 const GROUP: usize = 6;
 /// Samples of a patch: two groups, and three times four lanes.
@@ -99,7 +102,7 @@ impl<'a> Sight<'a> {
         let moved_by = |d: &Vec3| [(d.x - at[0] * d.z) / p.z, (d.y - at[1] * d.z) / p.z];
         let axes = [moved_by(column_x), moved_by(column_y)];
         let motion = moved_by(&shift);
-        if motion[0] * motion[0] + motion[1] * motion[1] > config.max_disparity_px.powi(2) {
+        if motion[0] * motion[0] + motion[1] * motion[1] > MAX_DISPARITY_PX.powi(2) {
             return None;
         }
         let area = axes[0][0] * axes[1][1] - axes[0][1] * axes[1][0];

@@ -19,45 +19,30 @@ use crate::{Bias, Imu, ImuNoise};
 use monogrid_geometry::{Rotation, Se3, Sim3, Vec3};
 use problem::{Problem, States};
 use scatter::Scatter;
-use serde::{Deserialize, Serialize};
+
+/// Frames with a pose that are used at most, evenly chosen.
+const MAX_FRAMES: usize = 2000;
 
 /// Settings of the estimate.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct EstimateConfig {
-    /// Frames with a pose that are used at most, evenly chosen. Range [30, 100000].
-    pub max_frames: usize,
-    /// Standard deviation of the gyroscope's bias before anything is measured, rad/s. Range [0.00001, 1].
+    /// Standard deviation of the gyroscope's bias before anything is measured, rad/s.
     pub gyroscope_bias_sigma: f64,
-    /// The same of the accelerometer's, m/s². Range [0.0001, 10].
+    /// Standard deviation of the accelerometer's bias before anything is measured, m/s².
     pub accelerometer_bias_sigma: f64,
-    /// Shortest path with inertial readings that is used, s. Range [0.5, 100000].
-    pub min_secs: f64,
-    /// Largest relative standard deviation of a scale that makes results metric. Range [0, 1].
+    /// Largest relative standard deviation of a scale that makes results metric.
     pub max_scale_sigma: f64,
-    /// Largest standard deviation of the direction of gravity that makes results level, degrees. Range [0, 90].
+    /// Largest standard deviation of the direction of gravity that makes results level, degrees.
     pub max_gravity_sigma_deg: f64,
-    /// Largest relative standard deviation of the scale behind a loss, against that before it, with which a fragment of the map is
-    /// joined by the readings alone; 0 for never. Range [0, 1].
-    pub max_join_scale_sigma: f64,
-    /// The same of its position, as a share of the way during the loss. Range [0, 1].
-    pub max_join_position_share: f64,
-    /// Standard deviation of the position with which it is joined however short the way was, m. Range [0, 10].
-    pub join_position_sigma_m: f64,
 }
 
 impl Default for EstimateConfig {
     fn default() -> Self {
         Self {
-            max_frames: 2000,
             gyroscope_bias_sigma: 0.03,
             accelerometer_bias_sigma: 0.1,
-            min_secs: 2.0,
             max_scale_sigma: 0.02,
             max_gravity_sigma_deg: 1.0,
-            max_join_scale_sigma: 0.03,
-            max_join_position_share: 0.03,
-            join_position_sigma_m: 0.02,
         }
     }
 }
@@ -160,7 +145,7 @@ pub fn estimate(
     observations: &[Observation],
     config: &EstimateConfig,
 ) -> Result<Estimate, NotDetermined> {
-    let chosen = chosen(observations, config.max_frames);
+    let chosen = chosen(observations, MAX_FRAMES);
     let mut problem = Problem::new(imu, chosen, config)?;
     let mut states = begin::begin(&mut problem, imu)?;
     for _ in 0..ROUNDS_OF_NOISE {

@@ -6,6 +6,9 @@ use super::{EstimateConfig, Fix, Motion, NotDetermined, Observation};
 use crate::{Bias, Imu, ImuNoise, Preintegrated};
 use monogrid_geometry::{Mat3, Rotation, Se3, Sim3, Vec3, rotation_exp, rotation_log};
 
+/// Shortest path with inertial readings that is used, s.
+const MIN_SECS: f64 = 2.0;
+
 /// Rows of a state: orientation, velocity, position, bias of gyroscope and accelerometer.
 pub(super) const TURN: usize = 0;
 pub(super) const VELOCITY: usize = 3;
@@ -60,10 +63,10 @@ impl Problem {
         let found: f64 = seen_secs
             .filter_map(|(_, between)| Some(between.as_ref()?.secs))
             .sum();
-        if found < config.min_secs {
+        if found < MIN_SECS {
             return Err(NotDetermined::TooShort {
                 found,
-                needed: config.min_secs,
+                needed: MIN_SECS,
             });
         }
         let parts = observations.iter().filter_map(|o| Some(o.seen?.0 + 1));

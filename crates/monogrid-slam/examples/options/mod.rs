@@ -1,10 +1,11 @@
 //! `name=value` arguments of the examples.
 #![allow(dead_code, reason = "each example uses a part")]
 
-use serde::{Serialize, de::DeserializeOwned};
+use monogrid_slam::settings::{Settings, apply};
 use std::collections::BTreeMap;
 use std::fmt::Debug;
 use std::str::FromStr;
+use toml::Value;
 
 /// Options by name.
 pub struct Options(pub BTreeMap<String, String>);
@@ -29,16 +30,13 @@ impl Options {
         self.0.get(name).is_some_and(|found| found == value)
     }
 
-    /// `config` with the settings whose names have a dot.
-    pub fn applied_to<T: Serialize + DeserializeOwned>(&self, config: &T) -> T {
-        let mut value = serde_json::to_value(config).unwrap();
-        for (key, text) in self.0.iter().filter(|(key, _)| key.contains('.')) {
-            let mut node = &mut value;
-            for part in key.split('.') {
-                node = node.get_mut(part).expect(key);
-            }
-            *node = serde_json::from_str(text).unwrap();
-        }
-        serde_json::from_value(value).unwrap()
+    /// `config` with the settings whose names have a dot, below their section: `sparse.enabled=false`.
+    pub fn applied_to<C>(&self, mut config: C, settings: Settings<C>, section: &str) -> C {
+        let lines = self.0.iter().filter(|(key, _)| key.contains('.'));
+        let lines: Vec<String> = lines.map(|(key, text)| format!("{key} = {text}")).collect();
+        let table = lines.join("\n").parse().unwrap();
+        let ignored = apply(settings, &mut config, section, &Value::Table(table)).unwrap();
+        assert!(ignored.is_empty(), "no longer settings: {ignored:?}");
+        config
     }
 }

@@ -18,10 +18,7 @@ mod places;
 mod search;
 mod worker;
 
-pub use config::{
-    DirectEdgeConfig, DriftConfig, GraphConfig, PlaceMethod, PlaceRecognitionConfig,
-    SparseEdgeConfig,
-};
+pub use config::{DriftConfig, GraphConfig, PlaceMethod, PlaceRecognitionConfig};
 pub(crate) use job::{
     EdgeChanges, EdgeKey, GraphJob, GraphUpdate, Joined, Link, OdometryEdge, Relocalised,
     RestoredGraph,

@@ -8,6 +8,17 @@ use monogrid_alignment::DepthSample;
 use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 use std::sync::Arc;
 
+/// Smallest predicted overlap of the nearest keyframes.
+const MIN_NEAREST_OVERLAP: f64 = 0.2;
+/// Largest distance of the nearest keyframes in units of the median depth.
+const MAX_NEAREST_DISTANCE: f64 = 1.3;
+/// Predicted overlap from which every other keyframe is tried too, however old.
+const MIN_OVERLAP: f64 = 0.35;
+/// Largest angle between the rays to the same surface, degrees.
+const MAX_VIEW_ANGLE_DEG: f64 = 50.0;
+/// Largest ratio of the distances to the same surface.
+const MAX_DISTANCE_RATIO: f64 = 2.0;
+
 /// Points with which the overlap of two keyframes is predicted.
 const NUM_PROBES: usize = 300;
 
@@ -38,9 +49,9 @@ impl Probes {
 
     /// Share of the points, at most, that a camera sees which is this far away. A point is seen if its distances
     /// to both cameras differ by a limited ratio, and the cameras are no farther apart than the sum of the two.
-    fn seen_from_at_most(&self, distance: f64, config: &GraphConfig) -> f64 {
+    fn seen_from_at_most(&self, distance: f64) -> f64 {
         const ROUNDING: f64 = 1.0 - 1e-9;
-        let least = distance / (1.0 + config.max_distance_ratio) * ROUNDING;
+        let least = distance / (1.0 + MAX_DISTANCE_RATIO) * ROUNDING;
         let too_near = self.distances.partition_point(|d| *d < least);
         let num = self.distances.len();
         (num - too_near) as f64 / num.max(1) as f64
@@ -48,30 +59,19 @@ impl Probes {
 
     /// Whether another keyframe is near enough to have this overlap. Most of a long way
     /// are not, which is seen without their points.
-    fn is_near(
-        &self,
-        other: &Self,
-        other_from_self: &Sim3,
-        min_overlap: f64,
-        config: &GraphConfig,
-    ) -> bool {
+    fn is_near(&self, other: &Self, other_from_self: &Sim3, min_overlap: f64) -> bool {
         let in_other = other_from_self.translation.norm();
         let in_own = in_other / other_from_self.scale;
-        self.seen_from_at_most(in_own, config) >= min_overlap
-            && other.seen_from_at_most(in_other, config) >= min_overlap
+        self.seen_from_at_most(in_own) >= min_overlap
+            && other.seen_from_at_most(in_other) >= min_overlap
     }
 
     /// Share of the points that another keyframe sees from a similar direction and distance.
-    fn seen_in(
-        &self,
-        other_from_self: &Sim3,
-        camera: &KeyframeCamera,
-        config: &GraphConfig,
-    ) -> f64 {
+    fn seen_in(&self, other_from_self: &Sim3, camera: &KeyframeCamera) -> f64 {
         if self.points.is_empty() {
             return 0.0;
         }
-        let max_cosine = config.max_view_angle_deg.to_radians().cos();
+        let max_cosine = MAX_VIEW_ANGLE_DEG.to_radians().cos();
         let seen = self.points.iter().filter(|point| {
             let in_other = *other_from_self * **point;
             // the same ray, seen from the own camera, in the axes of the other
@@ -79,8 +79,8 @@ impl Probes {
             let ratio = in_other.norm() / own_ray.norm();
             sees(camera, &in_other)
                 && in_other.dot(&own_ray) > max_cosine * in_other.norm() * own_ray.norm()
-                && ratio < config.max_distance_ratio
-                && ratio * config.max_distance_ratio > 1.0
+                && ratio < MAX_DISTANCE_RATIO
+                && ratio * MAX_DISTANCE_RATIO > 1.0
         });
         seen.count() as f64 / self.points.len() as f64
     }
@@ -114,17 +114,16 @@ fn rate(
     own: &Candidate<'_>,
     other: &Candidate<'_>,
     min_overlap: f64,
-    config: &GraphConfig,
 ) -> Option<(KeyframeId, f64, f64)> {
     let other_from_own = other.world_from_keyframe.inverse() * own.world_from_keyframe;
     let (own_probes, other_probes) = (&own.entry.probes, &other.entry.probes);
-    if !own_probes.is_near(other_probes, &other_from_own, min_overlap, config) {
+    if !own_probes.is_near(other_probes, &other_from_own, min_overlap) {
         return None;
     }
     let own_from_other = other_from_own.inverse();
     let (own_view, other_view) = (&own.entry.view, &other.entry.view);
-    let forward = own_probes.seen_in(&other_from_own, &other_view.camera, config);
-    let backward = other_probes.seen_in(&own_from_other, &own_view.camera, config);
+    let forward = own_probes.seen_in(&other_from_own, &other_view.camera);
+    let backward = other_probes.seen_in(&own_from_other, &own_view.camera);
     let (a, b) = (&own.world_from_keyframe, &other.world_from_keyframe);
     let distance = (a.translation - b.translation).norm() / a.scale.min(b.scale);
     let overlap = forward.min(backward);
@@ -138,17 +137,17 @@ pub(super) fn choose(
     others: &[Candidate<'_>],
     config: &GraphConfig,
 ) -> Vec<KeyframeId> {
-    let least = config.min_nearest_overlap.min(config.min_overlap);
-    let rate = |other| rate(own, other, least, config);
+    let least = MIN_NEAREST_OVERLAP.min(MIN_OVERLAP);
+    let rate = |other| rate(own, other, least);
     let mut rated: Vec<(KeyframeId, f64, f64)> = others.iter().filter_map(rate).collect();
     rated.sort_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)));
     let near: Vec<KeyframeId> = rated
         .iter()
-        .filter(|r| r.2 >= config.min_nearest_overlap && r.1 <= config.max_nearest_distance)
+        .filter(|r| r.2 >= MIN_NEAREST_OVERLAP && r.1 <= MAX_NEAREST_DISTANCE)
         .take(config.nearest)
         .map(|r| r.0)
         .collect();
-    rated.retain(|r| r.2 >= config.min_overlap && !near.contains(&r.0));
+    rated.retain(|r| r.2 >= MIN_OVERLAP && !near.contains(&r.0));
     rated.sort_by(|a, b| b.2.total_cmp(&a.2).then(a.0.cmp(&b.0)));
     let overlapping = rated.iter().take(config.max_overlapping).map(|r| r.0);
     near.iter().copied().chain(overlapping).collect()
@@ -170,7 +169,6 @@ mod tests {
 
     #[test]
     fn keyframes_are_passed_over_unseen_only_where_no_overlap_is_possible() {
-        let config = GraphConfig::default();
         let camera = KeyframeCamera::new(Pinhole::new(300.0, 300.0, 160.0, 120.0), (320, 240));
         let own = wall();
         let (mut overlapping, mut passed_over) = (0, 0);
@@ -180,9 +178,9 @@ mod tests {
                 let other_from_own = Sim3::new(scale, Rotation::identity(), at);
                 let other = wall();
                 let own_from_other = other_from_own.inverse();
-                let forward = own.seen_in(&other_from_own, &camera, &config);
-                let backward = other.seen_in(&own_from_other, &camera, &config);
-                let is_near = own.is_near(&other, &other_from_own, 0.2, &config);
+                let forward = own.seen_in(&other_from_own, &camera);
+                let backward = other.seen_in(&own_from_other, &camera);
+                let is_near = own.is_near(&other, &other_from_own, 0.2);
                 assert!(is_near || forward.min(backward) < 0.2, "{other_from_own:?}");
                 overlapping += usize::from(forward.min(backward) >= 0.2);
                 passed_over += usize::from(!is_near);

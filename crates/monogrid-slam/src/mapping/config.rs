@@ -6,8 +6,11 @@ use monogrid_depth::{DenseConfig, MultiViewConfig};
 use monogrid_occupancy::{
     AndertForm, Buffer, IntegrationRule, MapConfig, SensorModel, SigmaMode, Significance, ThrunForm,
 };
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
+
+/// Significance k of the model `andert` where it is automatic, cells.
+const AUTO_SIGNIFICANCE_CELLS: f64 = 1.0;
 
 /// Inverse sensor models.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -55,48 +58,22 @@ pub enum AutoLength {
     Fixed(f64),
 }
 
-impl Serialize for AutoLength {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        match self {
-            Self::Auto => serializer.serialize_str("auto"),
-            Self::Fixed(length) => serializer.serialize_f64(*length),
-        }
-    }
-}
-
-impl<'de> Deserialize<'de> for AutoLength {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        #[derive(Deserialize)]
-        #[serde(untagged)]
-        enum Raw {
-            Length(f64),
-            Word(String),
-        }
-        match Raw::deserialize(deserializer) {
-            Ok(Raw::Length(length)) => Ok(Self::Fixed(length)),
-            Ok(Raw::Word(word)) if word == "auto" => Ok(Self::Auto),
-            _ => Err(serde::de::Error::custom("expected a number or \"auto\"")),
-        }
-    }
-}
-
 /// Which measurements of a keyframe are mapped.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct DepthFilterConfig {
-    /// Largest relative standard deviation of the inverse depth; `inf` keeps all. Default 0.035: beyond, a
-    /// measurement smears its surface along the ray (in the demo world 3.6 times the true number of occupied
-    /// cells at 0.1, 1.4 times at 0.035). Range [0.000001, inf].
+    /// Largest relative standard deviation of the inverse depth; `inf` keeps all. Measured: a
+    /// measurement beyond it smears its surface along the ray (in the demo world 3.6 times the true
+    /// number of occupied cells at 0.1, 1.4 times at 0.035).
     pub max_relative_sigma: f64,
-    /// The same for all depth of final maps, once `mapping.sigma_from_agreement` has set it. Default 0.035:
-    /// with more, walls of real recordings get thicker, with less, fewer of the surfaces are observed. Range [0.000001, inf].
-    pub max_agreed_sigma: f64,
-    /// Measurements among the 3x3 pixels around one (itself included) that must agree with it within two
-    /// standard deviations; 0 and 1 keep all. Default 6: against 4, MCC rises from 0.71 to 0.72 in the demo
-    /// world. Range [0, 9].
+    /// Largest relative standard deviation of all depth of final maps, once the agreement of
+    /// keyframes has set it. Measured: with more than 0.035 walls of real recordings get thicker,
+    /// with less fewer of the surfaces are observed.
+    pub(crate) max_agreed_sigma: f64,
+    /// Measurements among the 3x3 pixels around one (itself included) that must agree with it
+    /// within two standard deviations; 0 and 1 keep all. Default 6: against 4, MCC rises from 0.71
+    /// to 0.72 in the demo world.
     pub min_support: usize,
-    /// First keyframes that are not mapped (a random start needs some to converge). Default 0. Range [0,
-    /// 1000000].
+    /// First keyframes that are not mapped (a random start needs some to converge).
     pub skip_keyframes: usize,
 }
 
@@ -112,16 +89,12 @@ impl Default for DepthFilterConfig {
 }
 
 /// How the depth of keyframes becomes better when the poses are known in the end.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct RefineConfig {
-    /// Whether the final map has it. Default true.
+    /// Whether the final map has it.
     pub enabled: bool,
-    /// Keyframes that one is compared with, the nearest. Default 8. Range [1, 1000].
-    pub max_keyframes: usize,
-    /// How far these may be: distance over the median depth, plus the angle of rotation in radians. Default 1.
-    /// Range [0.000001, 1000000].
-    pub max_separation: f64,
+    /// Keyframes that one is compared with, the nearest.
+    pub(crate) max_keyframes: usize,
     /// How pixels are compared.
     pub stereo: MultiViewConfig,
 }
@@ -131,23 +104,19 @@ impl Default for RefineConfig {
         Self {
             enabled: true,
             max_keyframes: 8,
-            max_separation: 1.0,
             stereo: MultiViewConfig::default(),
         }
     }
 }
 
 /// How all pixels of keyframes get depth when the poses are known in the end (quality `default`).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct DenseMappingConfig {
-    /// Keyframes that a keyframe is matched with. Default 4. Range [1, 32].
-    pub max_sources: usize,
-    /// Angle between lines of sight under which these see the same points at best, degrees. Default 8. Range [0.1, 45].
-    pub best_angle_deg: f64,
-    /// Keyframes whose dense depth must confirm it. Default 8. Range [1, 100].
-    pub max_witnesses: usize,
-    /// Whether maps that are read while they grow get it too, a few keyframes later. Default true.
+    /// Keyframes that a keyframe is matched with.
+    pub(crate) max_sources: usize,
+    /// Keyframes whose dense depth must confirm it.
+    pub(crate) max_witnesses: usize,
+    /// Whether maps that are read while they grow get it too, a few keyframes later.
     pub live: bool,
     /// How pixels are matched and confirmed.
     pub stereo: DenseConfig,
@@ -157,7 +126,6 @@ impl Default for DenseMappingConfig {
     fn default() -> Self {
         Self {
             max_sources: 4,
-            best_angle_deg: 8.0,
             max_witnesses: 8,
             live: true,
             stereo: DenseConfig::default(),
@@ -166,176 +134,112 @@ impl Default for DenseMappingConfig {
 }
 
 /// How the depths of keyframes that see the same become one.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FusionConfig {
-    /// Other keyframes whose depth the depth of each is fused with in final maps; 0: none. Default 16. Range [0, 1000].
-    pub max_witnesses: usize,
-    /// Depths agree that differ by at most so many standard deviations of the difference, ... Default 3. Range [0.01, 100].
-    pub sigmas: f64,
-    /// ... or by this share of them. Default 0.01. Range [0, 1].
-    pub min_tolerance: f64,
-    /// Keyframes that must have a depth, its own among them, where others have any there; what fewer have is left out. Default 2. Range
-    /// [1, 1000].
-    pub min_support: usize,
+    /// Other keyframes whose depth the depth of each is fused with in final maps; 0: none.
+    pub(crate) max_witnesses: usize,
 }
 
 impl Default for FusionConfig {
     fn default() -> Self {
-        Self {
-            max_witnesses: 16,
-            sigmas: 3.0,
-            min_tolerance: 0.01,
-            min_support: 2,
-        }
+        Self { max_witnesses: 16 }
     }
 }
 
 /// How plain surfaces get depth from the depth around them.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct FillConfig {
-    /// Whether plain regions are filled. Default true.
+    /// Whether plain regions are filled.
     pub enabled: bool,
-    /// Regions are where the smoothed gradient is at most this, grey levels per pixel. Default 3. Range [0.01,
-    /// 255].
-    pub max_gradient: f64,
-    /// Smallest region, pixels. Default 30. Range [1, 1000000000].
-    pub min_area_px: usize,
-    /// Random triples per plane (sample consensus). Default 240: planes of the cupboards in red-kitchen are better than with 60. Range [1, 5000].
-    pub samples: usize,
-    /// Measurements of the outline that must lie on a plane. Default 20. Range [3, 1000000].
-    pub min_inliers: usize,
-    /// The same for a plane that another region found. Default 8. Range [3, 1000000].
-    pub min_inliers_offered: usize,
-    /// Planes that regions without an own one may choose from. Default 12. Range [0, 1000].
-    pub max_offered: usize,
-    /// Share of the outline that must lie on the plane of a region, in (0, 1]; what lies before it is no objection. Default 0.3: dense
-    /// depth beside a plain surface is often that of what stands before it (against 0.5, red-kitchen has 6 % more of its
-    /// surfaces). Range [0.001, 1].
-    pub min_inlier_share: f64,
-    /// The same for a plane that was found elsewhere. Default 0.3. Range [0.001, 1].
-    pub min_offered_share: f64,
-    /// Share of the outline that may lie behind the plane. Default 0.05. Range [0, 0.999].
-    pub max_behind_share: f64,
-    /// How flat surfaces are: standard deviation of the inverse depth around the plane over the inverse depth.
-    /// Default 0.01. Range [0.000001, 10].
-    pub relative_sigma: f64,
-    /// Weight of a point of the outline before the plane, where one behind it has 1: frames, skirtings and switches stand a centimetre or
-    /// two before the wall that they outline. Default 0.25. Range [0.001, 1].
-    pub front_weight: f64,
-    /// Neighbouring depths whose errors count as one in the uncertainty of the fit. Default 100. Range [1,
-    /// 1000000].
-    pub correlated_points: f64,
-    /// Largest relative standard deviation by the fit, where `mapping.sigma_from_agreement` sets the true one afterwards: that of planes is most often
-    /// two or three times smaller. Default 0.08: with 0.035, walls with few points on them were left open (icl-office-kt3 had 4 % less
-    /// of its surfaces). Range [0.000001, inf].
-    pub max_stated_sigma: f64,
 }
 
 impl Default for FillConfig {
     fn default() -> Self {
-        Self {
-            enabled: true,
-            max_gradient: 3.0,
-            min_area_px: 30,
-            samples: 240,
-            min_inliers: 20,
-            min_inliers_offered: 8,
-            max_offered: 12,
-            min_inlier_share: 0.3,
-            min_offered_share: 0.3,
-            max_behind_share: 0.05,
-            relative_sigma: 0.01,
-            front_weight: 0.25,
-            correlated_points: 100.0,
-            max_stated_sigma: 0.08,
-        }
+        Self { enabled: true }
     }
 }
 
 /// Settings of [`crate::mapping`].
 ///
 /// Lengths are in map units: metres where the scale is known.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct MappingConfig {
     /// How much is done for the depth of final maps: `fast` refines the depth of the filter,
     /// `default` makes depth of all pixels beside it and completes it (`dense`, `completion`,
     /// `planes`), for four times the work; `best` does so with at least 160 planes half a pixel
-    /// apart, 6 sources and twice the witnesses, for eight times. Default `default`.
+    /// apart, 6 sources and twice the witnesses, for eight times.
     pub quality: MapQuality,
-    /// Edge of a cell. Default 0.05. Range [0.000001, 1000000].
+    /// Edge of a cell.
     pub resolution: f64,
-    /// Whether the final maps of a run of arbitrary scale have cells that follow from the scene: a fiftieth of the median
-    /// depth, or as fine as the depth is precise, or as many as can be paid for. Default true, and false where `resolution` is given.
+    /// Whether the final maps of a run of arbitrary scale have cells that follow from the scene: a
+    /// fiftieth of the median depth, or as fine as the depth is precise, or as many as can be paid
+    /// for. Default true, and false where `resolution` is given.
     pub auto_resolution: bool,
-    /// Inverse sensor model. Default `thrun`.
+    /// Inverse sensor model.
     pub sensor_model: SensorModelKind,
-    /// Thickness L of the occupied band of `ideal` and `thrun`, or `"auto"`: the larger of the way through the cells of the surface (a cell's
-    /// diagonal, or `band_by_slope`) and `buffer_sigmas` standard deviations. Default `"auto"`. Range [0.000001, 1000000].
+    /// Thickness L of the occupied band of `ideal` and `thrun`, or `"auto"`: the larger of the way
+    /// through the cells of the surface (a cell's diagonal, or `band_by_slope`) and `buffer_sigmas`
+    /// standard deviations.
     pub buffer: AutoLength,
-    /// Thickness in standard deviations where `buffer` is automatic (below 0.861, a hit is evidence against the
-    /// obstacle). Default 1.7; docs/sensor-parameters.md derives it. Range [0.862, 100].
+    /// Thickness in standard deviations where `buffer` is automatic (below 0.861, a hit is evidence
+    /// against the obstacle). Default 1.7; docs/sensor-parameters.md derives it.
     pub buffer_sigmas: f64,
-    /// Whether, with rule `fused` and an automatic `buffer`, the band is at least as long along each line of sight as the cells that the surface
-    /// passes through there, by its slope in the image, instead of a cell's diagonal: walls that are looked at straight get thinner,
-    /// floors that are looked along more complete. Default true.
+    /// Whether, with rule `fused` and an automatic `buffer`, the band is at least as long along
+    /// each line of sight as the cells that the surface passes through there, by its slope in the
+    /// image, instead of a cell's diagonal: walls that are looked at straight get thinner, floors
+    /// that are looked along more complete.
     pub band_by_slope: bool,
-    /// Form of the model `thrun`. Default `exact`.
+    /// Form of the model `thrun`.
     pub thrun_form: ThrunForm,
-    /// Significance k of the model `andert`, or `"auto"`: `significance_gain` cells. Default `"auto"`.
-    /// Range [0.000001, 1000000].
+    /// Significance k of the model `andert`, or `"auto"`: one cell.
     pub significance: AutoLength,
-    /// Cells where `significance` is automatic. Default 1. Range [0.000001, 1000000].
-    pub significance_gain: f64,
-    /// Probability of free space in the model `andert`. Default 0.3, the thesis'. Range [0.001, 0.499].
+    /// Probability of free space in the model `andert`. Default 0.3, the thesis'.
     pub andert_p_min: f64,
-    /// Form of the model `andert`. Default `monocular`.
+    /// Form of the model `andert`.
     pub andert_form: AndertForm,
-    /// How measurements are combined. Default `fused`.
+    /// How measurements are combined.
     pub integration: IntegrationRule,
-    /// Limits of one update, log-odds, [-100, -0.000001] and [0.000001, 100]: a single ray must not decide. Default
-    /// -0.4 and 1.2: a cell is occupied if a surface touches any part of it, so what passes through the
-    /// rest says little (docs/sensor-parameters.md).
+    /// Limits of one update, log-odds, [-100, -0.000001] and [0.000001, 100]: a single ray must not
+    /// decide. Default -0.4 and 1.2: a cell is occupied if a surface touches any part of it, so
+    /// what passes through the rest says little (docs/sensor-parameters.md).
     pub update_limits: [f64; 2],
-    /// How many equal updates bring a cell to what the sensor model says of it, for free and for occupied; none brings it farther, since
-    /// keyframes share their errors. 0: the first one does, and they add up without end, as if all were independent, and so they do with `andert`. Default 15 and 3
-    /// (docs/sensor-parameters.md). Range [0, 255].
+    /// How many equal updates bring a cell to what the sensor model says of it, for free and for
+    /// occupied; none brings it farther, since keyframes share their errors. 0: the first one does,
+    /// and they add up without end, as if all were independent, and so they do with `andert`.
+    /// Default 15 and 3 (docs/sensor-parameters.md).
     pub updates_to_belief: [u8; 2],
-    /// Where the model states less than these log-odds behind the obstacle, the ray ends. The models stay above 1/2 far behind it: 0.02 makes
-    /// walls 4.8 sigma thick, 0.4 makes them 3.3. Default 0.8: against 0.6, a quarter fewer cells are occupied behind walls, where no ray ever
-    /// clears them, and 1 % less of the surfaces is observed. Range [0, 1].
+    /// Where the model states less than these log-odds behind the obstacle, the ray ends. The
+    /// models stay above 1/2 far behind it: 0.02 makes walls 4.8 sigma thick, 0.4 makes them 3.3.
+    /// Default 0.8: against 0.6, a quarter fewer cells are occupied behind walls, where no ray ever
+    /// clears them, and 1 % less of the surfaces is observed.
     pub tail_log_odds: f64,
-    /// Lowest and highest stored log-odds, [-7.99, -0.001] and [0.001, 7.99]. Default -4 and 3.5; OctoMap's are -2 and 3.5, but what many
-    /// keyframes see through is free in 99 of 100 cells.
+    /// Lowest and highest stored log-odds, [-7.99, -0.001] and [0.001, 7.99]. Default -4 and 3.5;
+    /// OctoMap's are -2 and 3.5, but what many keyframes see through is free in 99 of 100 cells.
     pub clamp: [f32; 2],
-    /// Cells at least this likely are occupied. Default 0.5. Range [0.001, 0.999].
+    /// Cells at least this likely are occupied.
     pub occupancy_threshold: f64,
-    /// Measurements farther away are ignored. Default 10. Range [0.000001, inf].
+    /// Measurements farther away are ignored.
     pub max_range: f64,
-    /// Radius of the local map around the camera. Default 3. Range [0.000001, 1000000].
+    /// Radius of the local map around the camera.
     pub local_radius: f64,
-    /// While a run goes on, the global map follows keyframes of which some measurement moved by at least this
-    /// many cells. The final maps have all poses exactly. Default 1. Range [0, 1000000].
+    /// While a run goes on, the global map follows keyframes of which some measurement moved by at
+    /// least this many cells. The final maps have all poses exactly.
     pub follow_threshold: f64,
-    /// What is taken as the standard deviation of a range. Default `range`.
+    /// What is taken as the standard deviation of a range.
     pub sigma_mode: SigmaMode,
-    /// Whether standard deviations of depth are multiplied by what the disagreement of keyframes says, in final maps. Default true.
+    /// Whether standard deviations of depth are multiplied by what the disagreement of keyframes
+    /// says, in final maps.
     pub sigma_from_agreement: bool,
-    /// Standard deviation of a keyframe's position relative to its neighbours. Default 0.01. Range [0,
-    /// 1000000].
+    /// Standard deviation of a keyframe's position relative to its neighbours.
     pub pose_sigma: f64,
-    /// Standard deviation of a keyframe's rotation relative to its neighbours, degrees. Default 0.1. Range [0,
-    /// 180].
+    /// Standard deviation of a keyframe's rotation relative to its neighbours, degrees.
     pub pose_sigma_deg: f64,
-    /// What lies within this distance of the path of the camera is free in the final maps: it was there itself. 0: nothing
-    /// is; `"auto"`: one cell. Default `"auto"`. Range [0, 1000000].
+    /// What lies within this distance of the path of the camera is free in the final maps: it was
+    /// there itself. 0: nothing is; `"auto"`: one cell.
     pub body_radius: AutoLength,
-    /// Standard deviation of the depth in given depth images over the depth. Default 0.01. Range [0.000001,
-    /// 10].
+    /// Standard deviation of the depth in given depth images over the depth.
     pub depth_image_sigma: f64,
-    /// Memory that a map and what prepares it may take, GB (10^9 bytes). Default 1.5. Range [0.01, 1024].
+    /// Memory that a map and what prepares it may take, GB (10^9 bytes).
     pub max_memory_gb: f64,
     /// Which measurements are mapped.
     pub filter: DepthFilterConfig,
@@ -358,12 +262,11 @@ pub struct MappingConfig {
 }
 
 /// The surface between occupied and free cells as a mesh.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MeshConfig {
-    /// Whether a run writes it. Default true.
+    /// Whether a run writes it.
     pub enabled: bool,
-    /// Pieces of the surface with fewer faces of cells are left out: most are false measurements. Default 60. Range [0, 1000000000].
+    /// Pieces of the surface with fewer faces of cells are left out: most are false measurements.
     pub min_faces: usize,
 }
 
@@ -388,7 +291,6 @@ impl Default for MappingConfig {
             band_by_slope: true,
             thrun_form: ThrunForm::Exact,
             significance: AutoLength::Auto,
-            significance_gain: 1.0,
             andert_p_min: 0.3,
             andert_form: AndertForm::Monocular,
             integration: IntegrationRule::Fused,
@@ -455,18 +357,12 @@ impl MappingConfig {
                 enabled: false,
                 ..RefineConfig::default()
             },
-            fusion: FusionConfig {
-                max_witnesses: 0,
-                ..FusionConfig::default()
-            },
+            fusion: FusionConfig { max_witnesses: 0 },
             completion: CompletionConfig {
                 max_witnesses: 0,
                 ..CompletionConfig::default()
             },
-            fill: FillConfig {
-                enabled: false,
-                ..FillConfig::default()
-            },
+            fill: FillConfig { enabled: false },
             planes: PlanesConfig {
                 max_count: 0,
                 ..PlanesConfig::default()
@@ -509,7 +405,7 @@ impl MappingConfig {
     /// # Errors
     /// The first setting outside its range.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        crate::limits::check_mapping(self)
+        crate::settings::check_mapping(self)
     }
 
     /// The settings of the map itself.
@@ -545,7 +441,7 @@ impl MappingConfig {
                 significance: match self.significance {
                     AutoLength::Fixed(value) => Significance::Fixed(value),
                     AutoLength::Auto => Significance::Auto {
-                        gain: self.significance_gain,
+                        gain: AUTO_SIGNIFICANCE_CELLS,
                         cell: self.resolution,
                     },
                 },
@@ -618,10 +514,10 @@ mod tests {
         config.buffer = AutoLength::Fixed(-1.0);
         assert_eq!(config.validate().unwrap_err().name, "mapping.buffer");
         config.buffer = AutoLength::Auto;
-        config.fill.correlated_points = 0.0;
+        config.filter.min_support = 10;
         let name = config.validate().unwrap_err().name;
-        assert_eq!(name, "mapping.fill.correlated_points");
-        config.fill.correlated_points = 1.0;
+        assert_eq!(name, "mapping.filter.min_support");
+        config.filter.min_support = 9;
         config.update_limits = [0.1, 1.0];
         assert_eq!(config.validate().unwrap_err().name, "mapping.update_limits");
     }

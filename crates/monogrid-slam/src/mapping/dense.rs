@@ -10,6 +10,9 @@ use monogrid_geometry::{Sim3, Vec2, Vec3};
 use monogrid_image::Image;
 use std::sync::Arc;
 
+/// Angle between lines of sight under which two keyframes see the same points at best, degrees.
+const BEST_ANGLE_DEG: f64 = 8.0;
+
 /// Depths of a keyframe by which its neighbours are judged, at most.
 const MAX_PROBES: usize = 200;
 /// Points that are seen this near to the border of an image count as outside, px.
@@ -63,8 +66,7 @@ pub(super) fn neighbours(scene: &Scene, index: usize) -> Vec<Neighbour> {
     let points = probes(&scene.keyframes[index].depth.get(), camera);
     let most = config.max_sources.max(config.max_witnesses);
     scene.neighbours(index, most, |neighbour_from_keyframe| {
-        let best_angle_deg = config.best_angle_deg;
-        let usefulness = usefulness(&points, neighbour_from_keyframe, camera, best_angle_deg);
+        let usefulness = usefulness(&points, neighbour_from_keyframe, camera);
         (usefulness >= MIN_USEFULNESS).then_some(-usefulness)
     })
 }
@@ -84,19 +86,14 @@ fn probes(pixels: &[DepthPixel], camera: &KeyframeCamera) -> Vec<Vec3> {
 
 /// Mean over points of how well a neighbour measures their depth: 1 at the best angle between the lines of sight (under smaller ones depth
 /// is imprecise, under larger ones images differ), 0 where it does not see them.
-fn usefulness(
-    points: &[Vec3],
-    neighbour_from_keyframe: &Sim3,
-    camera: &KeyframeCamera,
-    best_angle_deg: f64,
-) -> f64 {
+fn usefulness(points: &[Vec3], neighbour_from_keyframe: &Sim3, camera: &KeyframeCamera) -> f64 {
     let centre = neighbour_from_keyframe.inverse().translation;
     let of_point = |point: &Vec3| {
         let seen = *neighbour_from_keyframe * *point;
         if !is_in_view(&seen, camera) {
             return 0.0;
         }
-        let off = point.angle(&(point - centre)).to_degrees() / best_angle_deg - 1.0;
+        let off = point.angle(&(point - centre)).to_degrees() / BEST_ANGLE_DEG - 1.0;
         let width = ANGLE_WIDTHS[usize::from(off > 0.0)];
         (-0.5 * (off / width).powi(2)).exp()
     };

@@ -4,13 +4,22 @@
 //! they have in common). The weighted mean of the depths that agree has less of the former. What a pixel says of a point that other
 //! keyframes look at, and none of them confirms, is most often wrong, and left out.
 
+use super::KeyframeCamera;
 use super::certainty::Certainty;
 use super::posed::Scene;
 use super::scan::{Depths, KeptDepths};
 use super::transfer::{Seen, Transfer};
-use super::{FusionConfig, KeyframeCamera};
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
+
+/// Keyframes that must have a depth, its own among them, where others have any there; what fewer
+/// have is left out.
+const MIN_SUPPORT: usize = 2;
+
+/// Depths agree that differ by at most so many standard deviations of the difference.
+const AGREEING_SIGMAS: f64 = 3.0;
+/// Depths agree, too, that differ by this share of them.
+const AGREEING_SHARE: f64 = 0.01;
 
 /// The depths of a keyframe, each fused with those of other keyframes that agree, as certain as they are; as they are for one without a
 /// pose.
@@ -22,7 +31,7 @@ pub(super) fn fused(scene: &Scene, index: usize, depths: Depths, certainty: Cert
     let num_measured = depths.measured.len();
     let all = depths.measured.into_iter().chain(depths.filled);
     let mut means: Vec<Mean> = all.map(Mean::of).collect();
-    let mut grid = Grid::new(camera, config);
+    let mut grid = Grid::new(camera);
     for (_, other) in scene.witnesses(index, config.max_witnesses) {
         grid.fill(&other.depths, certainty);
         let other_from_this = this.transfer_to(other, camera);
@@ -30,7 +39,7 @@ pub(super) fn fused(scene: &Scene, index: usize, depths: Depths, certainty: Cert
             mean.hear(&grid, &other_from_this);
         }
     }
-    let results = |means: &[Mean]| means.iter().filter_map(|m| m.result(config)).collect();
+    let results = |means: &[Mean]| means.iter().filter_map(|m| m.result()).collect();
     let (measured, filled) = means.split_at(num_measured);
     Depths {
         measured: results(measured),
@@ -84,8 +93,8 @@ impl Mean {
     }
 
     /// The pixel with the mean of the depths that agree with it; `None` where others look and too few of them do.
-    fn result(&self, config: &FusionConfig) -> Option<Measurement> {
-        if self.is_looked_at && usize::from(self.support) < config.min_support {
+    fn result(&self) -> Option<Measurement> {
+        if self.is_looked_at && usize::from(self.support) < MIN_SUPPORT {
             return None;
         }
         let idepth = self.pixel.idepth * self.sum_of_ratios / self.weights;
@@ -113,19 +122,13 @@ enum Answer {
 struct Grid {
     /// Inverse depth and its relative standard deviation; 0 where there is none.
     pixels: Image<[f32; 2]>,
-    /// How far depths may differ that agree, squared: in standard deviations, ...
-    sigmas_sq: f32,
-    /// ... or as a share of them.
-    least_sq: f32,
 }
 
 impl Grid {
     /// Without depth.
-    fn new(camera: &KeyframeCamera, config: &FusionConfig) -> Self {
+    fn new(camera: &KeyframeCamera) -> Self {
         Self {
             pixels: Image::filled(camera.width, camera.height, [0.0; 2]),
-            sigmas_sq: (config.sigmas * config.sigmas) as f32,
-            least_sq: (config.min_tolerance * config.min_tolerance) as f32,
         }
     }
 
@@ -179,7 +182,9 @@ impl Grid {
         let ratio = idepth / expected;
         let gap = (ratio - 1.0).powi(2);
         let variance = sigma * sigma + its_sigma * its_sigma;
-        if gap > (self.sigmas_sq * variance).max(self.least_sq) {
+        let sigmas_sq = (AGREEING_SIGMAS * AGREEING_SIGMAS) as f32;
+        let least_sq = (AGREEING_SHARE * AGREEING_SHARE) as f32;
+        if gap > (sigmas_sq * variance).max(least_sq) {
             return Answer::Other;
         }
         Answer::Same {
@@ -232,15 +237,12 @@ mod tests {
             .collect()
     }
 
-    fn fused_first(keyframes: &[(Depths, Sim3)], config: &FusionConfig) -> Vec<Measurement> {
+    fn fused_first(keyframes: &[(Depths, Sim3)]) -> Vec<Measurement> {
         let views: Vec<Option<View>> = keyframes
             .iter()
             .map(|(depths, pose)| Some(View::in_memory(depths, *pose, &CAMERA)))
             .collect();
-        let config = MappingConfig {
-            fusion: *config,
-            ..MappingConfig::default()
-        };
+        let config = MappingConfig::default();
         let scene = Scene {
             keyframes: &[],
             views: &views,
@@ -269,10 +271,9 @@ mod tests {
 
     #[test]
     fn errors_of_single_keyframes_become_less_and_shared_ones_stay() {
-        let config = FusionConfig::default();
         let own = wall(5, |keyframe, k| 0.015 * noise(keyframe, k));
         let before = error(&own[0].0.measured);
-        let after = fused_first(&own, &config);
+        let after = fused_first(&own);
         // nine pixels away from the border all five keyframes see the wall
         let inside: Vec<Measurement> = after.iter().filter(|p| p.x > 20).copied().collect();
         let gain = before / error(&inside);
@@ -282,13 +283,13 @@ mod tests {
             assert!((pixel.sigma_idepth / pixel.idepth - 0.01).abs() < 1e-5);
         }
         let shared = wall(5, |_, _| 0.015);
-        assert!((error(&fused_first(&shared, &config)) - 0.015).abs() < 1e-3);
+        assert!((error(&fused_first(&shared)) - 0.015).abs() < 1e-3);
         // one that is less certain counts less
         let mut unequal = wall(2, |keyframe, _| if keyframe == 0 { 0.0 } else { 0.02 });
         for pixel in &mut unequal[1].0.measured {
             pixel.sigma_idepth *= 3.0;
         }
-        let middle = fused_first(&unequal, &config)[30 * 80 + 60];
+        let middle = fused_first(&unequal)[30 * 80 + 60];
         assert!(
             (2.0 * middle.idepth - 1.002).abs() < 2e-4,
             "{}",
@@ -298,7 +299,6 @@ mod tests {
 
     #[test]
     fn what_nobody_confirms_is_left_out_where_somebody_looks() {
-        let config = FusionConfig::default();
         // the first keyframe has a piece that is 30 % too far
         let is_piece = |k: u16| (30..34).contains(&(k % 80)) && (20..40).contains(&(k / 80));
         let keyframes = wall(3, |keyframe, k| {
@@ -308,25 +308,16 @@ mod tests {
                 0.0
             }
         });
-        let left = fused_first(&keyframes, &config);
+        let left = fused_first(&keyframes);
         assert_eq!(left.len(), 60 * 80 - 4 * 20);
         assert!(error(&left) < 1e-4);
         // alone, a keyframe keeps what it has
-        assert_eq!(
-            fused_first(&keyframes[..1], &config),
-            keyframes[0].0.measured
-        );
+        assert_eq!(fused_first(&keyframes[..1]), keyframes[0].0.measured);
         // so it does where the others have no depth
         let mut blind = keyframes.clone();
         for (depths, _) in &mut blind[1..] {
             depths.measured.retain(|pixel| pixel.y > 50);
         }
-        assert_eq!(fused_first(&blind, &config).len(), 60 * 80);
-        // and where nobody's word is asked for
-        let all = FusionConfig {
-            min_support: 1,
-            ..config
-        };
-        assert_eq!(fused_first(&keyframes, &all).len(), 60 * 80);
+        assert_eq!(fused_first(&blind).len(), 60 * 80);
     }
 }

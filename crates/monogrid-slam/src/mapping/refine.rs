@@ -18,6 +18,10 @@ use rayon::prelude::*;
 use std::borrow::Cow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+/// How far the keyframes may be that one is compared with: distance over the median depth, plus
+/// the angle of rotation in radians.
+const MAX_SEPARATION: f64 = 1.0;
+
 /// What of each keyframe is mapped: its depth, with dense depth ([`monogrid_depth::dense_depth`]) and made better by the images of the
 /// keyframes around it ([`monogrid_depth::refine_depth`]) if the settings ask for it, filtered and filled as
 /// [`KeyframeScan::new`] does.
@@ -202,7 +206,7 @@ fn near(scene: &Scene, index: usize) -> Vec<Neighbour> {
     scene.neighbours(index, config.max_keyframes, |source_from_keyframe| {
         let center_in_this = source_from_keyframe.inverse().translation;
         let separation = center_in_this.norm() * median + source_from_keyframe.rotation.angle();
-        (separation <= config.max_separation).then_some(separation)
+        (separation <= MAX_SEPARATION).then_some(separation)
     })
 }
 
@@ -219,14 +223,8 @@ mod tests {
         MappingConfig {
             quality: MapQuality::Fast,
             sigma_from_agreement: false,
-            fusion: FusionConfig {
-                max_witnesses: 0,
-                ..FusionConfig::default()
-            },
-            fill: FillConfig {
-                enabled: false,
-                ..FillConfig::default()
-            },
+            fusion: FusionConfig { max_witnesses: 0 },
+            fill: FillConfig { enabled: false },
             ..MappingConfig::default()
         }
     }

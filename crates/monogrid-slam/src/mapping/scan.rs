@@ -198,7 +198,7 @@ impl Depths {
         measured.shrink_to_fit();
         let mut filled = match image {
             Some(image) if config.fill.enabled => {
-                fill_plain_regions(image, &measured, max_filled_sigma, &config.fill)
+                fill_plain_regions(image, &measured, max_filled_sigma)
             }
             _ => Vec::new(),
         };

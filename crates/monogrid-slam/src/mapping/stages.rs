@@ -30,6 +30,12 @@ use monogrid_geometry::Sim3;
 use std::borrow::Cow;
 use std::sync::Arc;
 
+/// Largest relative standard deviation of filled depth by the fit of its plane, where the
+/// agreement of keyframes sets the true one afterwards: that of planes is most often two or three
+/// times smaller. Measured: with 0.035, walls with few points on them were left open
+/// (icl-office-kt3 had 4 % less of its surfaces).
+const MAX_STATED_SIGMA: f64 = 0.08;
+
 /// Dense depth of a keyframe by its neighbours; none where there is no image, no pose or no
 /// neighbour.
 pub(super) fn matched(
@@ -63,7 +69,7 @@ pub(super) fn found(
     };
     // how certain a plane is, keyframes tell together
     let limit = match config.sigma_from_agreement {
-        true => config.fill.max_stated_sigma,
+        true => MAX_STATED_SIGMA,
         false => config.filter.max_relative_sigma,
     };
     let (image, settings) = (keyframe.image(), (config, limit));

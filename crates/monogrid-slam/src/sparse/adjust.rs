@@ -12,6 +12,21 @@ use monogrid_graph::bundle::{
 };
 use std::collections::{BTreeMap, BTreeSet};
 
+/// Standard deviation of a found position, px.
+const SIGMA_PX: f64 = 0.6;
+/// Most covisible older keyframes whose poses are adjusted with the newest ones.
+const WINDOW_COVISIBLE: usize = 8;
+/// Shared points from which an older keyframe counts as covisible.
+const MIN_SHARED_POINTS: usize = 15;
+/// Iterations of the adjustment.
+const MAX_ITERATIONS: usize = 8;
+/// Squared normalised residual above which an observation is removed after the adjustment.
+const MAX_CHI_SQ: f64 = 9.0;
+/// Iterations of each adjustment of all keyframes together.
+const FINAL_ITERATIONS: usize = 30;
+/// Iterations of the adjustment to images.
+const IMAGE_ITERATIONS: usize = 5;
+
 /// What is known about the world of a fragment.
 #[derive(Clone, Copy, Debug)]
 struct Gauge {
@@ -39,8 +54,8 @@ pub(crate) fn adjust_window(map: &Map, pinhole: &Pinhole, config: &SparseConfig)
         return Adjustment::default();
     };
     let free = window(map, newest, config);
-    let settings = bundle_settings(config.max_iterations, config);
-    adjust_by(map, newest.fragment, free, &lens, config, &|problem| {
+    let settings = bundle_settings(MAX_ITERATIONS, config);
+    adjust_by(map, newest.fragment, free, &lens, &|problem| {
         adjust(&problem.bundle, &settings)
     })
 }
@@ -52,15 +67,10 @@ pub(crate) fn adjust_all(
     lens: &LeftLens,
     config: &SparseConfig,
 ) -> Adjustment {
-    let settings = final_settings(config.final_iterations, config);
-    adjust_by(
-        map,
-        fragment,
-        all_of(map, fragment),
-        lens,
-        config,
-        &|problem| adjust(&problem.bundle, &settings),
-    )
+    let settings = final_settings(FINAL_ITERATIONS, config);
+    adjust_by(map, fragment, all_of(map, fragment), lens, &|problem| {
+        adjust(&problem.bundle, &settings)
+    })
 }
 
 /// The same to the places at which points were found and to the images where they are projected: from near the solution, since an
@@ -71,19 +81,12 @@ pub(crate) fn adjust_all_to_images(
     lens: &LeftLens,
     config: &SparseConfig,
 ) -> Adjustment {
-    let settings = final_settings(config.images.max_iterations, config);
-    adjust_by(
-        map,
-        fragment,
-        all_of(map, fragment),
-        lens,
-        config,
-        &|problem| {
-            let identities = (problem.keyframes.as_slice(), problem.points.as_slice());
-            let looks = Looks::new(map, &problem.bundle, identities, &config.images);
-            adjust_to_images(&problem.bundle, &looks, &settings)
-        },
-    )
+    let settings = final_settings(IMAGE_ITERATIONS, config);
+    adjust_by(map, fragment, all_of(map, fragment), lens, &|problem| {
+        let identities = (problem.keyframes.as_slice(), problem.points.as_slice());
+        let looks = Looks::new(map, &problem.bundle, identities, &config.images);
+        adjust_to_images(&problem.bundle, &looks, &settings)
+    })
 }
 
 fn all_of(map: &Map, fragment: FragmentId) -> Vec<KeyframeId> {
@@ -96,9 +99,9 @@ fn bundle_settings(max_iterations: usize, config: &SparseConfig) -> BundleConfig
     BundleConfig {
         max_iterations,
         kernel: RobustKernel::Huber {
-            delta: config.kernel_px / config.sigma_px,
+            delta: config.kernel_px / SIGMA_PX,
         },
-        inlier_chi2: config.max_chi_sq,
+        inlier_chi2: MAX_CHI_SQ,
         ..BundleConfig::default()
     }
 }
@@ -117,13 +120,12 @@ fn adjust_by(
     fragment: FragmentId,
     mut free: Vec<KeyframeId>,
     lens: &LeftLens,
-    config: &SparseConfig,
     solve: &dyn Fn(&Problem) -> Result<BundleSolution, BundleError>,
 ) -> Adjustment {
     // A keyframe that sees too little keeps the pose that tracking gave it.
-    free.retain(|id| num_shared_points(map, *id) >= config.min_shared_points);
+    free.retain(|id| num_shared_points(map, *id) >= MIN_SHARED_POINTS);
     let gauge = Gauge::of_fragment(map, fragment);
-    let Some(problem) = Problem::build(map, &free, gauge, lens, config) else {
+    let Some(problem) = Problem::build(map, &free, gauge, lens) else {
         return Adjustment::default();
     };
     match solve(&problem) {
@@ -153,11 +155,11 @@ fn window(map: &Map, newest: &MapKeyframe, config: &SparseConfig) -> Vec<Keyfram
             *shared.entry(id).or_default() += 1;
         }
     }
-    shared.retain(|_, count| *count >= config.min_shared_points);
+    shared.retain(|_, count| *count >= MIN_SHARED_POINTS);
     let mut covisible: Vec<(usize, KeyframeId)> =
         shared.into_iter().map(|(id, count)| (count, id)).collect();
     covisible.sort_by_key(|(count, id)| (std::cmp::Reverse(*count), *id));
-    covisible.truncate(config.window_covisible);
+    covisible.truncate(WINDOW_COVISIBLE);
     let mut ids = recent.to_vec();
     ids.extend(covisible.iter().map(|(_, id)| *id));
     ids.sort_unstable();
@@ -173,13 +175,7 @@ struct Problem {
 
 impl Problem {
     /// All points that a free keyframe sees; other keyframes that see them are held fixed.
-    fn build(
-        map: &Map,
-        free: &[KeyframeId],
-        gauge: Gauge,
-        lens: &LeftLens,
-        config: &SparseConfig,
-    ) -> Option<Self> {
+    fn build(map: &Map, free: &[KeyframeId], gauge: Gauge, lens: &LeftLens) -> Option<Self> {
         let is_free = |id: KeyframeId| free.binary_search(&id).is_ok();
         let seen: BTreeSet<usize> = free.iter().flat_map(|id| map[*id].points.all()).collect();
         let seen = seen.into_iter();
@@ -216,7 +212,7 @@ impl Problem {
                     keyframe: slot_of(observation.keyframe),
                     point: slot,
                     pixel: lens.ideal(observation.pixel),
-                    inv_sigma_px: 1.0 / config.sigma_px,
+                    inv_sigma_px: 1.0 / SIGMA_PX,
                 });
             }
         }

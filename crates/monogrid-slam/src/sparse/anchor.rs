@@ -8,6 +8,9 @@ use monogrid_features::{CornerConfig, detect_corners};
 use monogrid_geometry::{Pinhole, Vec2};
 use monogrid_image::Mask;
 
+/// Points anchored per keyframe with fewer observations after this many keyframes are dropped.
+const DROP_AFTER_KEYFRAMES: u32 = 3;
+
 /// New corners of the newest keyframe where it sees few points, with depth from the dense map (its units), and
 /// where the keyframes used last see them. `seen` are the pixels of the points that it sees already.
 pub(crate) fn anchor(
@@ -22,7 +25,7 @@ pub(crate) fn anchor(
         return Vec::new();
     };
     let mut points = corners(newest, depth, seen, (pinhole, mask), config);
-    let observations = find_in_older(map, newest, &points, pinhole, config);
+    let observations = find_in_older(map, newest, &points, pinhole);
     for (point, observations) in points.iter_mut().zip(observations) {
         point.observations = observations;
     }
@@ -80,11 +83,11 @@ pub(crate) fn corner_settings(
 
 /// Points in use that were not found again soon after they were anchored, in the fragment of the newest
 /// keyframe.
-pub(crate) fn unconfirmed(map: &Map, config: &SparseConfig) -> Vec<usize> {
+pub(crate) fn unconfirmed(map: &Map) -> Vec<usize> {
     let Some(newest) = map.newest() else {
         return Vec::new();
     };
-    let is_old = |k: &&MapKeyframe| newest.id.saturating_sub(k.id) >= config.drop_after_keyframes;
+    let is_old = |k: &&MapKeyframe| newest.id.saturating_sub(k.id) >= DROP_AFTER_KEYFRAMES;
     let old = map.in_fragment(newest.fragment).filter(is_old);
     old.flat_map(|keyframe| keyframe.points.anchored.clone())
         .filter(|index| {

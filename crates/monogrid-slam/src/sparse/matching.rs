@@ -1,6 +1,5 @@
 //! Finding points in keyframes by their patches.
 
-use super::SparseConfig;
 use crate::map::{Map, MapKeyframe, Observation, SparsePoint};
 use crate::{FragmentId, KeyframeId};
 use monogrid_depth::DepthMap;
@@ -11,6 +10,19 @@ use rayon::prelude::*;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::sync::Arc;
+
+/// Most old points that are looked for in a new keyframe.
+const MAX_SEARCHED_POINTS: usize = 900;
+/// Side of the square cells over which the searched points are spread, px.
+const CELL_PX: usize = 24;
+/// Half width of the search for a point around its prediction, px.
+const SEARCH_RADIUS_PX: f64 = 8.0;
+/// Largest angle between the rays from the anchor and from the new keyframe, degrees.
+const MAX_VIEW_ANGLE_DEG: f64 = 40.0;
+/// Largest ratio of the distances from the anchor and from the new keyframe.
+const MAX_DISTANCE_RATIO: f64 = 2.0;
+/// Older keyframes in which a new point is looked for.
+const BACK_SEARCH_KEYFRAMES: usize = 5;
 
 /// Points that were looked for in an image.
 #[derive(Default)]
@@ -76,7 +88,6 @@ impl<'a> PointSearch<'a> {
         (keyframe, pyramid): (&MapKeyframe, &'a Pyramid),
         which: Which,
         radius_px: f64,
-        config: &SparseConfig,
     ) -> Self {
         Self {
             pyramid,
@@ -84,7 +95,7 @@ impl<'a> PointSearch<'a> {
             camera_from_world: keyframe.camera_from_world,
             patch: patch_search(radius_px),
             which,
-            max_points: config.max_searched_points,
+            max_points: MAX_SEARCHED_POINTS,
             from_newest: false,
         }
     }
@@ -98,25 +109,19 @@ fn patch_search(radius_px: f64) -> PatchSearchConfig {
 }
 
 /// Looks for the points of its fragment in the newest keyframe.
-pub(super) fn find_in_newest(map: &Map, pinhole: &Pinhole, config: &SparseConfig) -> Search {
+pub(super) fn find_in_newest(map: &Map, pinhole: &Pinhole) -> Search {
     let newest = map.newest();
     let Some((newest, pyramid)) = newest.and_then(|k| Some((k, k.pyramid()?))) else {
         return Search::default();
     };
-    let radius_px = config.search_radius_px;
-    let search = PointSearch::in_keyframe((newest, &pyramid), Which::All, radius_px, config);
-    find_in_image(map, &search, pinhole, config)
+    let search = PointSearch::in_keyframe((newest, &pyramid), Which::All, SEARCH_RADIUS_PX);
+    find_in_image(map, &search, pinhole)
 }
 
 /// Projects the points of a fragment into an image, spreads the visible ones over it, and looks for their
 /// patches.
-pub(crate) fn find_in_image(
-    map: &Map,
-    search: &PointSearch,
-    pinhole: &Pinhole,
-    config: &SparseConfig,
-) -> Search {
-    let found = find_in_images(map, std::slice::from_ref(search), pinhole, config);
+pub(crate) fn find_in_image(map: &Map, search: &PointSearch, pinhole: &Pinhole) -> Search {
+    let found = find_in_images(map, std::slice::from_ref(search), pinhole);
     found.into_iter().next().unwrap_or_default()
 }
 
@@ -125,16 +130,10 @@ pub(super) fn find_in_images(
     map: &Map,
     searches: &[PointSearch],
     pinhole: &Pinhole,
-    config: &SparseConfig,
 ) -> Vec<Search> {
     let (mut results, mut all_wanted) = (Vec::new(), Vec::new());
     for search in searches {
-        let chosen = spread(
-            &visible_in(map, search, pinhole, config),
-            map,
-            search,
-            config,
-        );
+        let chosen = spread(&visible_in(map, search, pinhole), map, search);
         all_wanted.extend(chosen.iter().filter_map(|&(point, predicted)| {
             let source = patch_source(map, &map.points()[point], search.from_newest, pinhole)?;
             Some(Wanted {
@@ -253,19 +252,14 @@ fn patch_source<'a>(
 }
 
 /// The points of its fragment that an image should show, and where.
-fn visible_in(
-    map: &Map,
-    image: &PointSearch,
-    pinhole: &Pinhole,
-    config: &SparseConfig,
-) -> Vec<(usize, Vec2)> {
+fn visible_in(map: &Map, image: &PointSearch, pinhole: &Pinhole) -> Vec<(usize, Vec2)> {
     let view = PointView {
         camera_from_world: image.camera_from_world,
         centre: image.camera_from_world.inverse().translation,
         size: size_of(image.pyramid),
         pinhole,
-        max_ratio: config.max_distance_ratio,
-        min_cosine: config.max_view_angle_deg.to_radians().cos(),
+        max_ratio: MAX_DISTANCE_RATIO,
+        min_cosine: MAX_VIEW_ANGLE_DEG.to_radians().cos(),
     };
     let predicted = |index: usize, world_from_host: &Se3| {
         let point = &map.points()[index];
@@ -329,13 +323,8 @@ impl PointView<'_> {
 }
 
 /// As many points as are looked for at most, taken round robin from square cells, the best observed ones first.
-fn spread(
-    visible: &[(usize, Vec2)],
-    map: &Map,
-    search: &PointSearch,
-    config: &SparseConfig,
-) -> Vec<(usize, Vec2)> {
-    let (cell, size) = (config.cell_px as f64, size_of(search.pyramid));
+fn spread(visible: &[(usize, Vec2)], map: &Map, search: &PointSearch) -> Vec<(usize, Vec2)> {
+    let (cell, size) = (CELL_PX as f64, size_of(search.pyramid));
     let columns = (size.0 / cell).ceil() as usize;
     let rows = (size.1 / cell).ceil() as usize;
     let mut cells: Vec<Vec<(usize, Vec2)>> = vec![Vec::new(); columns * rows];
@@ -391,21 +380,20 @@ pub(super) fn find_in_older(
     newest: &MapKeyframe,
     points: &[SparsePoint],
     pinhole: &Pinhole,
-    config: &SparseConfig,
 ) -> Vec<Vec<Observation>> {
     let recent = map.recent_in(newest.fragment);
     let is_other = |id: &&KeyframeId| **id != newest.id;
     let others = recent.iter().rev().filter(is_other);
     let with_pyramid = |keyframe| Some((keyframe, MapKeyframe::pyramid(keyframe)?));
     let mut older: Vec<(&MapKeyframe, Arc<Pyramid>)> = others
-        .take(config.back_search_keyframes)
+        .take(BACK_SEARCH_KEYFRAMES)
         .filter_map(|id| with_pyramid(&map[*id]))
         .collect();
     older.reverse();
     let Some(newest) = with_pyramid(newest) else {
         return vec![Vec::new(); points.len()];
     };
-    let search = patch_search(config.search_radius_px);
+    let search = patch_search(SEARCH_RADIUS_PX);
     points
         .par_iter()
         .map(|point| {

@@ -1,17 +1,22 @@
 //! The pose of a new keyframe from the points of the others.
 
-use super::SparseConfig;
 use super::matching::{find_in_newest, position};
 use crate::map::{Map, Registration};
 use monogrid_geometry::{Pinhole, Vec2};
 use monogrid_graph::{MapMatch, PoseOnlyConfig, refine_pose};
 
+/// Fewest points that must agree before the pose of a new keyframe is taken from them.
+const MIN_POSE_POINTS: usize = 25;
+/// Standard deviation of a found position for the first pose of a frame, when the points are not
+/// adjusted with it yet, px.
+pub(crate) const POSE_SIGMA_PX: f64 = 1.0;
+
 /// Finds the points that the newest keyframe should see, and refines its pose on them.
-pub(crate) fn register(map: &Map, pinhole: &Pinhole, config: &SparseConfig) -> Registration {
-    let search = find_in_newest(map, pinhole, config);
+pub(crate) fn register(map: &Map, pinhole: &Pinhole) -> Registration {
+    let search = find_in_newest(map, pinhole);
     let num_found = search.found.len();
     let mut registration = Registration::default();
-    if num_found < config.min_pose_points {
+    if num_found < MIN_POSE_POINTS {
         return registration;
     }
     let Some(newest) = map.newest() else {
@@ -22,7 +27,7 @@ pub(crate) fn register(map: &Map, pinhole: &Pinhole, config: &SparseConfig) -> R
         .map(|(point, pixel)| MapMatch {
             point_in_world: position(map, &map.points()[*point], pinhole),
             pixel: *pixel,
-            inv_sigma_px: 1.0 / config.pose_sigma_px,
+            inv_sigma_px: 1.0 / POSE_SIGMA_PX,
         })
         .collect();
     let initial = &newest.camera_from_world;
@@ -31,7 +36,7 @@ pub(crate) fn register(map: &Map, pinhole: &Pinhole, config: &SparseConfig) -> R
     };
     let found = search.found.into_iter().zip(refined.inliers);
     let inliers: Vec<(usize, Vec2)> = found.filter_map(|(f, ok)| ok.then_some(f)).collect();
-    if inliers.len() >= config.min_pose_points && inliers.len() * 3 >= num_found {
+    if inliers.len() >= MIN_POSE_POINTS && inliers.len() * 3 >= num_found {
         registration.camera_from_world = Some(refined.camera_from_world);
         registration.inliers = inliers;
     }

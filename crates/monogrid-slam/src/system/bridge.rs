@@ -52,7 +52,7 @@ impl Slam {
             in_start,
         });
         let fit = Fit::of(&twice.collect::<Vec<_>>())?;
-        is_bridge(&fit.evidence, &self.setup.config.fragments).then(|| Landing {
+        is_bridge(&fit.evidence).then(|| Landing {
             parent: parent.id,
             parent_from_start: parent.world_from_keyframe.inverse() * fit.map_from_start,
             evidence: fit.evidence,

@@ -15,6 +15,10 @@ use monogrid_alignment::{Alignment, Motion};
 use monogrid_geometry::Se3;
 use std::sync::Arc;
 
+/// Relative standard deviation of the scale between successive keyframes that tracking and
+/// propagation leave.
+const ODOMETRY_SCALE_SIGMA: f64 = 0.05;
+
 impl Slam {
     /// Goes on with another keyframe: one that shows the same, or the frame itself.
     pub(super) fn change_keyframe(
@@ -60,7 +64,7 @@ impl Slam {
         let (id, found) = (known.id, &known.alignment);
         let (from, to) = (&self.map[left.id], &self.map[id]);
         let growth = from.world_from_keyframe.scale / to.world_from_keyframe.scale;
-        let scale_sigma = self.setup.config.graph.odometry_scale_sigma;
+        let scale_sigma = ODOMETRY_SCALE_SIGMA;
         let link = alignment.covariance.as_ref().map_or(Link::None, |own| {
             let left = Tie {
                 keyframe: from,
@@ -150,7 +154,7 @@ impl Slam {
                 j: id,
                 i_from_j: parent_from_keyframe,
                 covariance: in_keyframe(covariance, &keyframe_from_frame),
-                scale_sigma: self.setup.config.graph.odometry_scale_sigma,
+                scale_sigma: ODOMETRY_SCALE_SIGMA,
             })
         });
         self.constrain(view, link.unwrap_or_default(), false);

@@ -6,7 +6,7 @@ use crate::graph::{
     RestoredGraph,
 };
 use crate::map::{Map, MapKeyframe, View};
-use crate::sparse::{SharedPoints, shared_points};
+use crate::sparse::{MAX_GAP, SharedPoints, shared_points};
 use crate::stored::StoredEdge;
 use crate::{KeyframeId, SlamError};
 use monogrid_alignment::Motion;
@@ -132,7 +132,7 @@ fn newly_shared(setup: &Setup, map: &Map, is_final: bool) -> Vec<SharedPoints> {
         let mut recent = map.recent_in(newest.fragment);
         recent.split_off(recent.len().saturating_sub(sparse.window_newest))
     };
-    shared_points(map, &adjusted, &setup.config.graph.sparse_edges)
+    shared_points(map, &adjusted, MAX_GAP)
 }
 
 /// A frame as it was tracked on a keyframe.

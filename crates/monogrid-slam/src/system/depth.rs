@@ -12,10 +12,13 @@ use crate::frame::Frame;
 use crate::map::MapKeyframe;
 use crate::{Keyframe, KeyframeId};
 use monogrid_alignment::{Alignment, DepthSample, Motion};
-use monogrid_depth::{DepthMap, PackedDepth, PixelDepth, StereoFrame};
+use monogrid_depth::{DepthMap, MATURE_VALIDITY, PackedDepth, PixelDepth, StereoFrame};
 use monogrid_geometry::{Mat6, Se3, Vec3};
 use monogrid_image::{GrayImage, Pyramid};
 use std::sync::Arc;
+
+/// Only keyframes with at least this relative baseline (in median depths) are observed again.
+const MIN_RELATIVE_BASELINE: f64 = 0.03;
 
 /// Depth that a new keyframe takes over.
 #[derive(Debug)]
@@ -94,7 +97,7 @@ impl Slam {
         let chosen: Vec<(&MapKeyframe, Se3, Arc<Pyramid>)> = others
             .map(|id| &map[*id])
             .map(|other| (other, keyframe.other_from_self(other)))
-            .filter(|(_, pose)| pose.inverse().translation.norm() >= config.min_relative_baseline)
+            .filter(|(_, pose)| pose.inverse().translation.norm() >= MIN_RELATIVE_BASELINE)
             .take(config.old_keyframes_observed)
             .filter_map(|(other, pose)| Some((other, pose, other.pyramid()?)))
             .collect();
@@ -170,7 +173,7 @@ pub(super) fn sampled_depth(
             y: sample.y,
             idepth: sample.idepth,
             idepth_var: sample.idepth_var,
-            validity: setup.config.depth.mature_validity,
+            validity: MATURE_VALIDITY,
         });
     }
     Some(depth)
@@ -181,7 +184,7 @@ pub(super) fn published_depth(setup: &Setup, keyframe: &Keyframe) -> Option<Dept
     let config = &setup.config.depth;
     let mut depth = DepthMap::empty(setup.host(keyframe.image.map(f32::from))?, config);
     let publication = &setup.config.publication;
-    let validity = config.mature_validity.max(publication.min_validity);
+    let validity = MATURE_VALIDITY.max(publication.min_validity);
     for pixel in &keyframe.pixels {
         // publication has made the variance larger; errors that all pixels share stay in a part of it
         let shared = (publication.relative_sigma * pixel.idepth).powi(2);

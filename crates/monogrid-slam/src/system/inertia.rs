@@ -51,9 +51,8 @@ impl Slam {
         };
         // the poses must be those that a job begins with
         self.await_graph();
-        let config = &self.setup.config.inertial;
         let place = self.place_of(&imu, fragment);
-        let Some(place) = place.filter(|place| is_placed(&place.evidence, config)) else {
+        let Some(place) = place.filter(|place| is_placed(&place.evidence)) else {
             return;
         };
         let Some((parent, first)) = ends_of_loss(&self.map, fragment) else {

@@ -19,6 +19,9 @@ use monogrid_alignment::Motion;
 use monogrid_geometry::Se3;
 use monogrid_image::Pyramid;
 
+/// Frames that must be lost in a row before the camera is looked for elsewhere.
+const MIN_LOST_FRAMES: usize = 2;
+
 impl Slam {
     /// A lost frame is looked for among all keyframes; where it is not recognised for long, a fragment of the
     /// map is started.
@@ -40,7 +43,7 @@ impl Slam {
     /// recognised, are not worth the same effort.
     fn recognise(&mut self, frame: &Frame, was_tracked: bool) -> Option<Recognised> {
         let places = &self.setup.config.graph.places;
-        let is_lost_enough = self.camera.lost_in_a_row >= places.min_lost_frames;
+        let is_lost_enough = self.camera.lost_in_a_row >= MIN_LOST_FRAMES;
         if !places.enabled || (was_tracked && !is_lost_enough) {
             return None;
         }

@@ -6,7 +6,7 @@
 use super::points::adjust_whole;
 use super::sessions::{restored, stored};
 use super::setup::Setup;
-use crate::graph::{GraphJob, KeyframeGraph, SparseEdgeConfig};
+use crate::graph::{GraphJob, KeyframeGraph};
 use crate::mapping::KeyframeCamera;
 use crate::sparse::shared_points;
 use crate::store::Store;
@@ -84,17 +84,13 @@ fn adjusted(
     for fragment in fragments {
         adjust_whole(setup, &mut shown, *fragment);
     }
-    // points were found again in all keyframes: what they say is not limited to neighbours
-    let config = SparseEdgeConfig {
-        max_gap: KeyframeId::MAX,
-        ..setup.config.graph.sparse_edges.clone()
-    };
     let in_fragments = |k: &&StoredKeyframe| fragments.contains(&k.fragment);
     let keyframes = map.keyframes.iter().filter(in_fragments);
     let keyframes: Vec<KeyframeId> = keyframes.map(|k| k.keyframe.id).collect();
     let update = graph.run(GraphJob {
         poses: Arc::clone(shown.snapshot()),
-        shared_points: shared_points(&shown, &keyframes, &config),
+        // points were found again in all keyframes: what they say is not limited to neighbours
+        shared_points: shared_points(&shown, &keyframes, KeyframeId::MAX),
         is_final: true,
         grown: shown.snapshot().fragment.iter().copied().collect(),
         ..GraphJob::default()

@@ -19,7 +19,7 @@ pub(super) fn adjust_points(setup: &Setup, map: &mut Map, depth: &DepthMap) {
     };
     let (id, fragment) = (newest.id, newest.fragment);
 
-    let registration = register(map, &setup.pinhole, config);
+    let registration = register(map, &setup.pinhole);
     let inliers = registration.inliers.iter();
     let seen: Vec<Vec2> = inliers.map(|(_, pixel)| *pixel).collect();
     map.register(registration);
@@ -28,7 +28,7 @@ pub(super) fn adjust_points(setup: &Setup, map: &mut Map, depth: &DepthMap) {
     map.anchor(anchored);
 
     map.adjust(adjust_window(map, &setup.pinhole, config));
-    map.drop_points(unconfirmed(map, config));
+    map.drop_points(unconfirmed(map));
 
     let links = dense_links(map.points(), &map[id].points, id, depth);
     map.link(id, links);
@@ -46,7 +46,7 @@ pub(super) fn adjust_whole(setup: &Setup, map: &mut Map, fragment: FragmentId) {
     }
     let pinhole = LeftLens::of_pinhole(&setup.pinhole);
     for _ in 0..config.final_rounds {
-        map.observe(find_again(map, fragment, &setup.pinhole, config));
+        map.observe(find_again(map, fragment, &setup.pinhole));
         map.adjust(adjust_all(map, fragment, &pinhole, config));
     }
     if setup.left_radial != 0.0 {

@@ -271,6 +271,7 @@ fn joined(events: &[Event]) -> Vec<FragmentId> {
 #[cfg(test)]
 mod tests {
     use super::Effort;
+    use crate::policy::FIRST_FRAMES;
     use crate::test_world::small_demo;
     use crate::{FrameInput, FrameReport, RefinementConfig, Slam, SlamConfig, TrackingState};
     use monogrid_geometry::{Rng, Se3};
@@ -408,13 +409,9 @@ mod tests {
         // all but the first, which is the keyframe
         let all = num_refined(RefinementConfig::thesis());
         assert_eq!(all, (FRAMES - 1, true));
-        let RefinementConfig {
-            first_frames,
-            max_passed,
-            ..
-        } = RefinementConfig::default();
-        let later = FRAMES - 1 - first_frames;
-        let expected = first_frames + later / (max_passed + 1);
+        let RefinementConfig { max_passed } = RefinementConfig::default();
+        let later = FRAMES - 1 - FIRST_FRAMES;
+        let expected = FIRST_FRAMES + later / (max_passed + 1);
         assert_eq!(num_refined(RefinementConfig::default()), (expected, true));
     }
 }

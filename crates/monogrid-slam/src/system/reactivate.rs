@@ -19,6 +19,19 @@ use monogrid_alignment::{Alignment, Motion};
 use monogrid_depth::DepthMap;
 use monogrid_geometry::{Se3, Sim3};
 
+/// Closest keyframes on which a frame is tracked to find out.
+const MAX_CANDIDATES: usize = 2;
+/// Largest score (distance and lost overlap, 1 where a new keyframe is made) as predicted from the
+/// poses; the angle stands for the overlap.
+const MAX_PREDICTED_SCORE: f64 = 1.0;
+/// Smallest usage times share of good points.
+const MIN_GOOD_USAGE: f32 = 0.7;
+/// Largest score where there are enough old keyframes that should show about the same.
+const CROWDED_MAX_SCORE: f64 = 2.0;
+/// Largest difference of the tracked and the predicted pose there. So the number of keyframes in a
+/// place is bounded.
+const CROWDED_MAX_DISAGREEMENT: f64 = 0.1;
+
 /// A keyframe that may show what the frame shows.
 struct Candidate {
     id: KeyframeId,
@@ -98,7 +111,7 @@ impl Slam {
                 let distance = candidate_from_frame.translation.norm();
                 let usage = 1.0 - turned.min(1.0);
                 let score = keyframe_score(distance, usage, &setup.config.keyframes);
-                (score < config.max_predicted_score).then_some(Candidate {
+                (score < MAX_PREDICTED_SCORE).then_some(Candidate {
                     id: keyframe.id,
                     frame_from_candidate: candidate_from_frame.to_se3().inverse(),
                     score,
@@ -127,17 +140,17 @@ fn in_use(setup: &Setup) -> ReactivationConfig {
 fn choose(mut candidates: Vec<Candidate>, config: &ReactivationConfig) -> (Vec<Candidate>, Limits) {
     candidates.sort_by(|a, b| a.score.total_cmp(&b.score).then(a.id.cmp(&b.id)));
     let limits = if candidates.len() >= config.crowd {
-        candidates.truncate(config.crowd.max(config.max_candidates));
+        candidates.truncate(config.crowd.max(MAX_CANDIDATES));
         Limits {
-            score: config.crowded_max_score,
+            score: CROWDED_MAX_SCORE,
             good_usage: 0.0,
-            disagreement: config.crowded_max_disagreement,
+            disagreement: CROWDED_MAX_DISAGREEMENT,
         }
     } else {
-        candidates.truncate(config.max_candidates);
+        candidates.truncate(MAX_CANDIDATES);
         Limits {
             score: config.max_score,
-            good_usage: config.min_good_usage,
+            good_usage: MIN_GOOD_USAGE,
             disagreement: config.max_disagreement,
         }
     };

@@ -15,6 +15,10 @@ use monogrid_depth::DepthMap;
 use monogrid_image::Pyramid;
 use std::sync::Arc;
 
+/// Last frames with a pose that are kept, in case that the camera is lost after them: a start that
+/// shows them goes on in their map.
+pub(super) const BRIDGE_FRAMES: usize = 8;
+
 /// The keyframe that was in use.
 pub(super) struct Left {
     pub id: KeyframeId,
@@ -39,7 +43,7 @@ impl Slam {
             keyframe: attempt.keyframe,
             frame_from_keyframe: attempt.tracked.alignment.motion.frame_from_keyframe,
         });
-        while self.camera.known.len() > self.setup.config.fragments.bridge_frames {
+        while self.camera.known.len() > BRIDGE_FRAMES {
             self.camera.known.pop_front();
         }
     }

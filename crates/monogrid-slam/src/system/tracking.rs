@@ -127,7 +127,7 @@ pub(super) fn reference(setup: &Setup, keyframe: &Pyramid, samples: &[DepthSampl
 /// A pose that is doubtful for other reasons than its residuals must be convincing to count.
 fn doubt(setup: &Setup, tracked: Tracked, lost_in_a_row: usize) -> Tracked {
     let config = &setup.config.tracking;
-    let is_believed = match demand(&tracked, lost_in_a_row, config) {
+    let is_believed = match demand(&tracked, lost_in_a_row) {
         Demand::None => true,
         Demand::Convincing => is_convincing(&tracked.alignment, false, config),
         Demand::ConvincingAfterLoss => is_convincing(&tracked.alignment, true, config),

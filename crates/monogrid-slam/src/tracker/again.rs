@@ -7,19 +7,24 @@ use super::{MotionPrior, is_surprising, judge};
 use crate::{TrackingConfig, TrackingState};
 use monogrid_alignment::Alignment;
 
+/// Aligned again on the two finest levels, from where the motion of the last frames leads, where
+/// the grey values correlate less than this, the pose is a surprise, or it is not good; taken if
+/// they correlate at least so well there, and it explains more. Only with `motion_hypotheses`.
+const RETRY_CORRELATION: f64 = 0.8;
+
 /// Whether another start may explain a frame better.
 pub(super) fn is_weak(alignment: &Alignment, prior: &MotionPrior, config: &TrackingConfig) -> bool {
     let (state, _) = judge(alignment, config);
     state != TrackingState::Good
-        || is_surprising(alignment, prior, config)
-        || alignment.correlation.unwrap_or(0.0) < config.retry_correlation
+        || is_surprising(alignment, prior)
+        || alignment.correlation.unwrap_or(0.0) < RETRY_CORRELATION
 }
 
 /// The second of two alignments of a frame if it agrees well and explains more than the first. (In noise no alignment agrees well, and those
 /// that were right to be refused at a start would be let in.)
-pub(super) fn better(first: Alignment, second: Alignment, config: &TrackingConfig) -> Alignment {
+pub(super) fn better(first: Alignment, second: Alignment) -> Alignment {
     let is_better = second.motion.frame_from_keyframe.is_finite()
-        && second.correlation.unwrap_or(0.0) >= config.retry_correlation
+        && second.correlation.unwrap_or(0.0) >= RETRY_CORRELATION
         && explained(&second) > MIN_TIMES_BETTER * explained(&first);
     if is_better { second } else { first }
 }
@@ -39,6 +44,7 @@ const MIN_RESIDUAL: f64 = 0.1;
 
 #[cfg(test)]
 mod tests {
+    use super::super::SURPRISING_MOTION;
     use super::super::tests::perfect;
     use super::*;
     use monogrid_alignment::Motion;
@@ -59,7 +65,7 @@ mod tests {
         assert!(is_weak(&perfect(config.min_holding_points - 1)));
         let moved = Se3::new(
             Se3::identity().rotation,
-            Vec3::new(2.0 * config.surprising_motion, 0.0, 0.0),
+            Vec3::new(2.0 * SURPRISING_MOTION, 0.0, 0.0),
         );
         assert!(is_weak(&Alignment {
             motion: Motion::from_pose(moved),
@@ -69,15 +75,14 @@ mod tests {
             correlation,
             ..perfect(1000)
         };
-        assert!(is_weak(&correlated(Some(config.retry_correlation - 0.01))));
-        assert!(!is_weak(&correlated(Some(config.retry_correlation + 0.01))));
+        assert!(is_weak(&correlated(Some(RETRY_CORRELATION - 0.01))));
+        assert!(!is_weak(&correlated(Some(RETRY_CORRELATION + 0.01))));
         assert!(is_weak(&correlated(None)));
     }
 
     /// Numbers of the frame of the stairs at which alignment slid off the door that left the view.
     #[test]
     fn few_points_that_agree_are_worth_more_than_many_that_do_not() {
-        let config = TrackingConfig::default();
         let few = Alignment {
             good_share: 0.4,
             residual_rms: 2.8,
@@ -98,11 +103,8 @@ mod tests {
         };
         dim.motion.log_gain = -1.23;
         for wrong in [slid, dim] {
-            assert_eq!(
-                better(wrong.clone(), few.clone(), &config).residual_rms,
-                2.8
-            );
-            assert_eq!(better(few.clone(), wrong, &config).residual_rms, 2.8);
+            assert_eq!(better(wrong.clone(), few.clone()).residual_rms, 2.8);
+            assert_eq!(better(few.clone(), wrong).residual_rms, 2.8);
         }
     }
 
@@ -113,38 +115,35 @@ mod tests {
             residual_rms,
             ..perfect(2800)
         };
-        let config = TrackingConfig::default();
-        let chosen = |second| better(noisy(0.32, 28.0), second, &config).residual_rms;
-        let least = config.retry_correlation;
+        let chosen = |second| better(noisy(0.32, 28.0), second).residual_rms;
+        let least = RETRY_CORRELATION;
         assert_eq!(chosen(noisy(least - 0.01, 14.0)), 28.0);
         assert_eq!(chosen(noisy(least + 0.01, 14.0)), 14.0);
     }
 
     #[test]
     fn a_little_better_is_not_enough() {
-        let config = TrackingConfig::default();
         let with = |residual_rms| Alignment {
             residual_rms,
             ..perfect(2800)
         };
-        assert_eq!(better(with(6.0), with(5.0), &config).residual_rms, 6.0);
-        assert_eq!(better(with(6.0), with(4.0), &config).residual_rms, 4.0);
+        assert_eq!(better(with(6.0), with(5.0)).residual_rms, 6.0);
+        assert_eq!(better(with(6.0), with(4.0)).residual_rms, 4.0);
     }
 
     #[test]
     fn the_first_stays_where_the_second_is_no_better_or_no_motion() {
-        let config = TrackingConfig::default();
         let first = Alignment {
             iterations: 1,
             ..perfect(1000)
         };
         let second = perfect(1000);
-        assert_eq!(better(first.clone(), second, &config).iterations, 1);
+        assert_eq!(better(first.clone(), second).iterations, 1);
         let mut lost = Alignment {
             residual_rms: 0.5,
             ..perfect(1000)
         };
         lost.motion.frame_from_keyframe.translation.x = f64::NAN;
-        assert_eq!(better(first, lost, &config).iterations, 1);
+        assert_eq!(better(first, lost).iterations, 1);
     }
 }

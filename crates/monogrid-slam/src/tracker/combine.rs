@@ -14,6 +14,10 @@ use crate::policy::{may_be_confirmed, state_at_points};
 use monogrid_alignment::{Alignment, AlignmentConfig, Motion};
 use monogrid_image::Pyramid;
 
+/// Largest difference from where the motion of the last frames leads (norm of the twist, median
+/// depths and rad) of a pose that points gave and no pixels of the keyframe agree with.
+const MAX_JUMP: f64 = 0.6;
+
 impl Task<'_> {
     /// Tracks the frame by its pixels, then by the points of the map, if there is one.
     pub(crate) fn track_with_points(
@@ -63,7 +67,7 @@ impl Task<'_> {
         };
         let alignment = self.look(&motion);
         let (by_pixels, reason) = judge(&alignment, self.config);
-        let is_far = self.prior.distance_to(&motion) > self.config.points.max_jump;
+        let is_far = self.prior.distance_to(&motion) > MAX_JUMP;
         let state = state_at_points(by_pixels, is_far);
         if state == TrackingState::Lost {
             return Tracked {

@@ -16,6 +16,19 @@ use monogrid_alignment::{Alignment, AlignmentConfig, Freedom, Motion, Reference,
 use monogrid_geometry::{Se3, Vec3, Vec6, rotation_exp};
 use monogrid_image::Pyramid;
 
+/// A hypothesis is taken without looking at the others when on the coarsest level this share of
+/// the visible points is good.
+const ACCEPT_GOOD_OF_VISIBLE: f32 = 0.85;
+/// For that, this share of all points must be visible, too.
+const ACCEPT_VISIBLE_SHARE: f32 = 0.5;
+/// Fewest points on the finest level, and fewest pixels with depth of a start.
+pub(crate) const MIN_POINTS: usize = 60;
+/// Largest difference from where the motion of the last frames leads (norm of the twist, median
+/// depths and rad) that is no surprise.
+const SURPRISING_MOTION: f64 = 0.2;
+/// Largest change of the logarithm of the gain from one frame to the next that is no surprise.
+const SURPRISING_LOG_GAIN: f64 = 0.2;
+
 /// What is known before the frame is looked at.
 #[derive(Clone, Debug)]
 pub(crate) struct MotionPrior {
@@ -122,7 +135,7 @@ impl<'a> Task<'a> {
             self.align(&start, &coarse)
         };
         let mut best = attempt(&prior.frame_from_last);
-        if config.motion_hypotheses && !explains(&best, config) {
+        if config.motion_hypotheses && !explains(&best) {
             let rotation = previous.and_then(|previous| self.align_rotation(previous));
             let rotation = rotation.unwrap_or_else(Se3::identity);
             for hypothesis in hypotheses(&prior.frame_from_last, &rotation) {
@@ -130,18 +143,18 @@ impl<'a> Task<'a> {
                 if candidate.good_share > best.good_share {
                     best = candidate;
                 }
-                if explains(&best, config) {
+                if explains(&best) {
                     break;
                 }
             }
         }
         let mut alignment = self.align(&best.motion, &refined);
         if config.motion_hypotheses && is_weak(&alignment, prior, config) {
-            alignment = better(alignment, self.polish(&prior.motion()), config);
+            alignment = better(alignment, self.polish(&prior.motion()));
         }
         let (state, reason) = judge(&alignment, config);
         Tracked {
-            is_surprising: is_surprising(&alignment, prior, config),
+            is_surprising: is_surprising(&alignment, prior),
             alignment,
             support: Support::None,
             state,
@@ -183,16 +196,15 @@ impl<'a> Task<'a> {
     }
 }
 
-fn is_surprising(alignment: &Alignment, prior: &MotionPrior, config: &TrackingConfig) -> bool {
+fn is_surprising(alignment: &Alignment, prior: &MotionPrior) -> bool {
     let change = alignment.motion.log_gain - prior.last_from_keyframe.log_gain;
-    prior.distance_to(&alignment.motion) > config.surprising_motion
-        || change.abs() > config.surprising_log_gain
+    prior.distance_to(&alignment.motion) > SURPRISING_MOTION || change.abs() > SURPRISING_LOG_GAIN
 }
 
 /// Whether a coarse alignment is good enough to stop looking for a better start.
-fn explains(alignment: &Alignment, config: &TrackingConfig) -> bool {
-    alignment.good_of_visible >= config.accept_good_of_visible
-        && alignment.visible_share >= config.accept_visible_share
+fn explains(alignment: &Alignment) -> bool {
+    alignment.good_of_visible >= ACCEPT_GOOD_OF_VISIBLE
+        && alignment.visible_share >= ACCEPT_VISIBLE_SHARE
 }
 
 /// Alternatives to the constant motion, likeliest first: the rotation that aligns the images, no
@@ -225,7 +237,7 @@ fn hypotheses(frame_from_last: &Se3, rotation: &Se3) -> Vec<Se3> {
 /// Good, degraded or lost, with the reason.
 fn judge(alignment: &Alignment, config: &TrackingConfig) -> (TrackingState, Option<LostReason>) {
     let lost = |reason| (TrackingState::Lost, Some(reason));
-    if alignment.num_points < config.min_points.max(config.min_holding_points) {
+    if alignment.num_points < MIN_POINTS.max(config.min_holding_points) {
         return lost(LostReason::NoTexture);
     }
     if !alignment.motion.frame_from_keyframe.is_finite() {
@@ -304,7 +316,7 @@ pub(crate) mod tests {
         let least = usual.min_holding_points;
         assert_eq!(state(least, &usual), TrackingState::Good);
         assert_eq!(state(least - 1, &usual), TrackingState::Lost);
-        assert_eq!(state(thesis.min_points, &thesis), TrackingState::Good);
-        assert_eq!(state(thesis.min_points - 1, &thesis), TrackingState::Lost);
+        assert_eq!(state(MIN_POINTS, &thesis), TrackingState::Good);
+        assert_eq!(state(MIN_POINTS - 1, &thesis), TrackingState::Lost);
     }
 }

@@ -1,15 +1,34 @@
 //! A pose from points of the sparse layer that are found again. It needs no good start, and it does not drift
 //! with the dense depth of one keyframe.
 
-use crate::PointTrackingConfig;
 use crate::map::{Map, MapKeyframe};
-use crate::policy::do_points_decide;
-use crate::sparse::{PointSearch, Which, find_in_image, position};
+use crate::policy::{MIN_POINT_INLIERS, do_points_decide};
+use crate::sparse::{POSE_SIGMA_PX, PointSearch, Which, find_in_image, position};
 use crate::system::Setup;
 use monogrid_features::{AbsolutePoseConfig, PatchSearchConfig, PointPixel, absolute_pose};
 use monogrid_geometry::{Mat6, Se3, Vec6};
 use monogrid_graph::{MapMatch, PoseOnlyConfig, PoseOnlySolution, PoseOutcome, refine_pose};
 use monogrid_image::Pyramid;
+
+/// Points of the keyframe in use that are looked for in every frame, to confirm the pose by
+/// alignment.
+const PROBE_POINTS: usize = 60;
+/// Largest error of a point that confirms a pose, px.
+const PROBE_ERROR_PX: f64 = 1.5;
+/// Points that are looked for at most where a pose is not confirmed.
+const MAX_POINTS: usize = 300;
+/// Half width of the search around where alignment predicts a point, px.
+const NEAR_RADIUS_PX: f64 = 8.0;
+/// Half width of the search where alignment failed, or its pose does not agree with the points,
+/// px.
+const SEARCH_RADIUS_PX: f64 = 32.0;
+/// Smallest correlation of a patch that was found.
+const MIN_CORRELATION: f32 = 0.7;
+/// Largest error of a point that agrees with a pose, px.
+const MAX_ERROR_PX: f64 = 3.0;
+/// Factor on the standard deviations of a pose by alignment where it is fused with that of the
+/// points: its residuals do not show the errors of the depth.
+const ALIGNMENT_SIGMA_FACTOR: f64 = 2.0;
 
 /// The points as they are known, seen from one keyframe.
 #[derive(Clone, Copy, Debug)]
@@ -30,23 +49,18 @@ pub(crate) struct PointPose {
 }
 
 impl PointMap<'_> {
-    fn config(&self) -> &PointTrackingConfig {
-        &self.setup.config.tracking.points
-    }
-
     /// Whether a few points are where a pose predicts them; otherwise the pose may be wrong.
     pub(crate) fn confirms(&self, frame: &Pyramid, pose: &Se3) -> bool {
-        let config = self.config();
         let camera_from_world = self.camera_from_world(pose);
         let probe = PointSearch {
             which: Which::SeenBy(self.keyframe.id),
-            max_points: config.probe_points,
+            max_points: PROBE_POINTS,
             // the basin of a patch is some pixels wide
             ..self.around(frame, &camera_from_world, 0.0)
         };
         let probed = self.search(&probe);
-        let agreeing = self.num_agreeing(&camera_from_world, &probed.seen, config.probe_error_px);
-        do_points_decide(agreeing, probed.num_searched, config)
+        let agreeing = self.num_agreeing(&camera_from_world, &probed.seen, PROBE_ERROR_PX);
+        do_points_decide(agreeing, probed.num_searched)
     }
 
     /// The pose of a frame that is within a few pixels of `near`; `None` when the points do not decide.
@@ -57,17 +71,16 @@ impl PointMap<'_> {
         near: &Se3,
         covariance: Option<&Mat6>,
     ) -> Option<PointPose> {
-        let config = self.config();
         let start = self.camera_from_world(near);
-        let search = self.around(frame, &start, config.near_radius_px);
+        let search = self.around(frame, &start, NEAR_RADIUS_PX);
         let matches = self.search(&search).seen;
         let (solution, num_inliers) = self.refined(&matches, &start)?;
-        if !do_points_decide(num_inliers, matches.len(), config) {
+        if !do_points_decide(num_inliers, matches.len()) {
             return None;
         }
         let pose = solution.camera_from_world;
         let fused = covariance.and_then(|covariance| {
-            let covariance = covariance * config.alignment_sigma_factor.powi(2);
+            let covariance = covariance * ALIGNMENT_SIGMA_FACTOR.powi(2);
             let in_world = self.in_world_units(&covariance);
             fuse((&pose, &solution.covariance), (&start, &in_world))
         });
@@ -80,13 +93,12 @@ impl PointMap<'_> {
     /// The pose of a frame of which `start` is a guess: points are looked for far around, the pose of random
     /// samples that explains most of them says where to look for them more closely.
     pub(crate) fn pose_around(&self, frame: &Pyramid, start: &Se3) -> Option<PointPose> {
-        let config = self.config();
         let guess = self.camera_from_world(start);
-        let search = self.around(frame, &guess, config.search_radius_px);
+        let search = self.around(frame, &guess, SEARCH_RADIUS_PX);
         let matches = self.search(&search).seen;
         let sampling = AbsolutePoseConfig {
-            max_error_px: config.max_error_px,
-            min_inliers: config.min_inliers,
+            max_error_px: MAX_ERROR_PX,
+            min_inliers: MIN_POINT_INLIERS,
             ..AbsolutePoseConfig::default()
         };
         let sampled = absolute_pose(&matches, &self.setup.pinhole, &sampling)?;
@@ -100,18 +112,17 @@ impl PointMap<'_> {
         camera_from_world: &Se3,
         radius_px: f64,
     ) -> PointSearch<'a> {
-        let config = self.config();
         PointSearch {
             pyramid: frame,
             fragment: self.keyframe.fragment,
             camera_from_world: *camera_from_world,
             patch: PatchSearchConfig {
                 radius_px,
-                min_correlation: config.min_correlation,
+                min_correlation: MIN_CORRELATION,
                 ..PatchSearchConfig::default()
             },
             which: Which::All,
-            max_points: config.max_points,
+            max_points: MAX_POINTS,
             from_newest: true,
         }
     }
@@ -119,7 +130,7 @@ impl PointMap<'_> {
     /// Points that are found around where a pose predicts them.
     fn search(&self, search: &PointSearch) -> Probed {
         let (map, pinhole) = (self.map, &self.setup.pinhole);
-        let search = find_in_image(map, search, pinhole, &self.setup.config.sparse);
+        let search = find_in_image(map, search, pinhole);
         let found = search.found.iter();
         let seen = found.map(|&(point, pixel)| PointPixel {
             point_in_world: position(map, &map.points()[point], pinhole),
@@ -142,20 +153,19 @@ impl PointMap<'_> {
 
     /// The pose on all points that agree with it, and how many do.
     fn refined(&self, matches: &[PointPixel], start: &Se3) -> Option<(PoseOnlySolution, usize)> {
-        let (setup, config) = (self.setup, self.config());
         let weighted = matches.iter().map(|seen| MapMatch {
             point_in_world: seen.point_in_world,
             pixel: seen.pixel,
-            inv_sigma_px: 1.0 / setup.config.sparse.pose_sigma_px,
+            inv_sigma_px: 1.0 / POSE_SIGMA_PX,
         });
         let weighted: Vec<MapMatch> = weighted.collect();
         let refinement = PoseOnlyConfig {
-            min_inliers: config.min_inliers,
+            min_inliers: MIN_POINT_INLIERS,
             ..PoseOnlyConfig::default()
         };
-        let solution = refine_pose(start, &setup.pinhole, &weighted, &refinement).ok()?;
+        let solution = refine_pose(start, &self.setup.pinhole, &weighted, &refinement).ok()?;
         let pose = solution.camera_from_world;
-        let num_inliers = self.num_agreeing(&pose, matches, config.max_error_px);
+        let num_inliers = self.num_agreeing(&pose, matches, MAX_ERROR_PX);
         (solution.outcome == PoseOutcome::Good).then_some((solution, num_inliers))
     }
 

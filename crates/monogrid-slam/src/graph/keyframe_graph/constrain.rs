@@ -14,6 +14,9 @@ use monogrid_image::Pyramid;
 use std::sync::Arc;
 use std::time::Instant;
 
+/// Recognised keyframes that are aligned directly at most.
+pub(super) const MAX_LOOPS: usize = 3;
+
 /// Keyframes that are prepared for alignment at the same time at most; one takes 1.8 MB at 640x480, and to prepare it a few milliseconds.
 const MAX_PREPARED: usize = 4;
 
@@ -169,7 +172,7 @@ impl KeyframeGraph {
         };
         let matches = self.find_loops(id, is_new);
         let mut closed = false;
-        for found in matches.iter().take(self.config.places.max_loops) {
+        for found in matches.iter().take(MAX_LOOPS) {
             let other = found.keyframe as KeyframeId;
             self.stats.loops_proposed += 1;
             let other_from_own = found.this_from_other.inverse();

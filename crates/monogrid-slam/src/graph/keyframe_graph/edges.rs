@@ -12,6 +12,27 @@ use monogrid_geometry::{Mat7, Sim3, Vec7};
 use monogrid_graph::RobustKernel;
 use std::ops::Add;
 
+/// Squared normalised residual from which edges other than those between successive keyframes lose
+/// weight.
+const SWITCH_CHI_SQ: f64 = 25.0;
+/// Error of the translation of direct alignment that its residuals do not show, as a share of it.
+pub(super) const DIRECT_TRANSLATION_SHARE: f64 = 0.02;
+/// The least such error, median depths.
+pub(super) const DIRECT_TRANSLATION_SIGMA: f64 = 0.003;
+/// That of the rotation, rad.
+pub(super) const DIRECT_ROTATION_SIGMA: f64 = 0.003;
+/// That of the logarithm of the scale.
+pub(super) const DIRECT_SCALE_SIGMA: f64 = 0.01;
+/// Shared points at which the standard deviations below hold; with fewer they grow with the root.
+const REFERENCE_POINTS: usize = 100;
+/// Standard deviation of the translation between two keyframes of the sparse layer with that many
+/// shared points, median depths.
+const SPARSE_TRANSLATION_SIGMA: f64 = 0.0008;
+/// Standard deviation of their rotation, rad.
+const SPARSE_ROTATION_SIGMA: f64 = 0.0005;
+/// Standard deviation of the logarithm of their scale.
+const SPARSE_SCALE_SIGMA: f64 = 0.005;
+
 /// Kernel of edges that are right but for single large errors.
 pub(super) const CERTAIN: RobustKernel = RobustKernel::Huber { delta: 3.0 };
 
@@ -47,14 +68,13 @@ impl KeyframeGraph {
 
     /// The relative pose of two keyframes as the sparse layer has it now.
     pub(super) fn set_sparse_edge(&mut self, found: &SharedPoints) {
-        let config = &self.config.sparse_edges;
         let (i, j) = (found.i, found.j);
         let i_from_j = self.relative(i, j);
-        let factor = (config.reference_points as f64 / found.count.max(1) as f64).max(1.0);
+        let factor = (REFERENCE_POINTS as f64 / found.count.max(1) as f64).max(1.0);
         let sigmas = [
-            config.translation_sigma,
-            config.rotation_sigma,
-            config.scale_sigma,
+            SPARSE_TRANSLATION_SIGMA,
+            SPARSE_ROTATION_SIGMA,
+            SPARSE_SCALE_SIGMA,
         ];
         let weights = by_part(sigmas).map(|sigma| 1.0 / (sigma * sigma * factor));
         let information = Mat7::from_diagonal(&weights);
@@ -98,13 +118,12 @@ impl KeyframeGraph {
 
     /// Information of a relative pose when the errors that its residuals do not show are counted too.
     pub(super) fn with_model_error(&self, mut covariance: Mat7, i_from_j: &Sim3) -> Option<Mat7> {
-        let config = &self.config.direct_edges;
-        let moved = i_from_j.translation.norm() * config.translation_share;
-        let translation_var = config.translation_sigma.powi(2) + moved * moved;
+        let moved = i_from_j.translation.norm() * DIRECT_TRANSLATION_SHARE;
+        let translation_var = DIRECT_TRANSLATION_SIGMA.powi(2) + moved * moved;
         let shared = by_part([
             translation_var,
-            config.rotation_sigma.powi(2),
-            config.scale_sigma.powi(2),
+            DIRECT_ROTATION_SIGMA.powi(2),
+            DIRECT_SCALE_SIGMA.powi(2),
         ]);
         covariance.set_diagonal(&(covariance.diagonal() + shared));
         let information = covariance.cholesky()?.inverse();
@@ -116,9 +135,7 @@ impl KeyframeGraph {
         if is_certain {
             return CERTAIN;
         }
-        RobustKernel::DynamicCovariance {
-            phi: self.config.switch_chi_sq,
-        }
+        RobustKernel::DynamicCovariance { phi: SWITCH_CHI_SQ }
     }
 
     /// Whether the poses of two keyframes differ from a measurement by more than drift is at least. A loop that

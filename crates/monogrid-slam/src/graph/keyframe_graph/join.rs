@@ -15,6 +15,11 @@ use monogrid_alignment::SimilarityConstraint;
 use monogrid_geometry::Sim3;
 use std::collections::BTreeSet;
 
+/// Largest difference between two keyframes that agree where there is no way between them: median
+/// depths, rad, and the logarithm of the scale. It grows with the way as drift does, but starts
+/// here, because recognised points say less than direct alignment.
+const MAX_DISAGREEMENT: f64 = 0.1;
+
 /// Sightings that are kept at most; the oldest are forgotten.
 const MAX_SIGHTINGS: usize = 64;
 
@@ -138,8 +143,7 @@ impl KeyframeGraph {
             (a.other, a.own)
         };
         let way = self.way(own_of_a, b.own) + self.way(other_of_a, b.other);
-        let start = self.fragments.max_disagreement;
-        let drift = self.config.places.drift.starting_at(start);
+        let drift = self.config.places.drift.starting_at(MAX_DISAGREEMENT);
         drift.explains(&error, way)
     }
 

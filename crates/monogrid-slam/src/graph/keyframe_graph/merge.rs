@@ -6,6 +6,7 @@
 //! set are joined first; where they lie then decides what is consistent about the others.
 
 use super::KeyframeGraph;
+use super::constrain::MAX_LOOPS;
 use super::join::Sighting;
 use super::optimise::Search;
 use crate::graph::job::GraphUpdate;
@@ -77,7 +78,7 @@ impl KeyframeGraph {
             self.fragment_of(other) == fragment && self.may_join(id, other)
         };
         let found = self.find_loops(id, may_join);
-        let best = found.into_iter().take(self.config.places.max_loops);
+        let best = found.into_iter().take(MAX_LOOPS);
         best.map(|found| {
             let other = found.keyframe as KeyframeId;
             if other < id {

@@ -1,6 +1,9 @@
 //! The graph on rendered keyframes.
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps")]
 
+use super::edges::{
+    DIRECT_ROTATION_SIGMA, DIRECT_SCALE_SIGMA, DIRECT_TRANSLATION_SHARE, DIRECT_TRANSLATION_SIGMA,
+};
 use super::*;
 use crate::graph::job::OdometryEdge;
 use crate::map::{Exposure, KeyframeImage};
@@ -313,13 +316,12 @@ fn no_edge_is_surer_than_the_errors_that_its_residuals_do_not_show() {
         .unwrap()
         .diagonal()
         .map(f64::sqrt);
-    let config = GraphConfig::default().direct_edges;
-    let translation = config.translation_sigma.hypot(config.translation_share);
+    let translation = DIRECT_TRANSLATION_SIGMA.hypot(DIRECT_TRANSLATION_SHARE);
     for k in 0..7 {
         let expected = match k {
             0..3 => translation,
-            3..6 => config.rotation_sigma,
-            _ => config.scale_sigma,
+            3..6 => DIRECT_ROTATION_SIGMA,
+            _ => DIRECT_SCALE_SIGMA,
         };
         let share = sigmas[k] / expected;
         assert!((share - 1.0).abs() < 1e-3, "{k}: {sigmas} {expected}");

@@ -19,23 +19,22 @@ use brightness::{Brightness, smooth_at};
 use layers::{Candidate, Layers};
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
-use serde::{Deserialize, Serialize};
+
+/// Depths that differ by this share of them are of two surfaces.
+const TOLERANCE: f64 = 0.03;
 
 /// Depth where a keyframe has none, from keyframes that see the same.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct CompletionConfig {
-    /// Other keyframes whose depth each takes over in final maps where it has none itself; 0: none. Default 16. Range [0, 1000].
-    pub max_witnesses: usize,
-    /// Keyframes that must have a depth. Default 2. Range [1, 1000].
-    pub min_support: usize,
-    /// Depths that differ by this share of them are of two surfaces. Default 0.03. Range [0.0001, 1].
-    pub tolerance: f64,
-    /// Keyframes that see through it, for each that has it, at most. Default 0.25. Range [0, 1000].
-    pub max_against: f64,
-    /// Largest difference of brightness to most of them, grey levels. Default 10: what is taken over in office is right to 3 % in 89 % of the pixels
-    /// without this limit and in 93 % with it. Range [0, 1000].
-    pub max_difference: f64,
+    /// Other keyframes whose depth each takes over in final maps where it has none itself; 0: none.
+    pub(crate) max_witnesses: usize,
+    /// Keyframes that must have a depth.
+    pub(crate) min_support: usize,
+    /// Keyframes that see through it, for each that has it, at most.
+    pub(crate) max_against: f64,
+    /// Largest difference of brightness to most of them, grey levels. Default 10: what is taken
+    /// over in office is right to 3 % in 89 % of the pixels without this limit and in 93 % with it.
+    pub(crate) max_difference: f64,
 }
 
 impl Default for CompletionConfig {
@@ -43,7 +42,6 @@ impl Default for CompletionConfig {
         Self {
             max_witnesses: 16,
             min_support: 2,
-            tolerance: 0.03,
             max_against: 0.25,
             max_difference: 10.0,
         }
@@ -61,7 +59,7 @@ pub(super) fn completed(scene: &Scene, index: usize) -> Vec<Measurement> {
         return Vec::new();
     };
     let others = scene.witnesses(index, config.max_witnesses);
-    let tolerance = config.tolerance as f32;
+    let tolerance = TOLERANCE as f32;
     let mut layers = Layers::new(camera);
     for (_, view) in &others {
         layers.hear(&view.depths, &view.transfer_to(this, camera), tolerance);

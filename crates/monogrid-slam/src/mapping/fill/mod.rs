@@ -28,15 +28,21 @@ mod hull;
 mod plane;
 mod regions;
 
-use super::FillConfig;
 use super::scan::measurement;
 use super::transfer::at_or;
 use hull::Hull;
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
-use plane::Border;
-pub(super) use plane::Plane;
-pub(super) use regions::{NO_REGION, Regions};
+use plane::{Border, FLATNESS, MIN_INLIERS};
+pub(super) use plane::{MAX_BEHIND_SHARE, Plane};
+pub(super) use regions::{MIN_AREA_PX, NO_REGION, Regions};
+
+/// Measurements of the outline that must lie on a plane that another region found.
+pub(super) const MIN_INLIERS_OFFERED: usize = 8;
+/// Planes that regions without an own one may choose from.
+const MAX_OFFERED: usize = 12;
+/// Share of the outline that must lie on a plane that another region found.
+const MIN_OFFERED_SHARE: f64 = 0.3;
 
 /// Measurements of the whole image that planes are looked for in, at most.
 const MAX_IMAGE_POINTS: usize = 4000;
@@ -58,20 +64,19 @@ pub fn fill_plain_regions(
     image: &Image<u8>,
     measured: &[Measurement],
     max_relative_sigma: f64,
-    config: &FillConfig,
 ) -> Vec<Measurement> {
-    let regions = Regions::new(image, measured, config);
-    let borders = borders(&regions, measured, config);
-    let held = planes_of_regions(measured, &borders, config);
-    fill(&regions, &held, max_relative_sigma, config)
+    let regions = Regions::new(image, measured);
+    let borders = borders(&regions, measured);
+    let held = planes_of_regions(measured, &borders);
+    fill(&regions, &held, max_relative_sigma)
 }
 
 /// The measurements along the outline of each region.
-fn borders(regions: &Regions, measured: &[Measurement], config: &FillConfig) -> Vec<Border> {
+fn borders(regions: &Regions, measured: &[Measurement]) -> Vec<Border> {
     let mut borders = vec![Border::default(); regions.count];
     for point in measured {
         for label in regions_beside(regions, point.x, point.y) {
-            borders[label as usize].push(point, config);
+            borders[label as usize].push(point);
         }
     }
     borders
@@ -118,9 +123,9 @@ struct Candidate {
 }
 
 impl Candidate {
-    fn new(plane: Plane, points: &Border, config: &FillConfig) -> Self {
+    fn new(plane: Plane, points: &Border) -> Self {
         Self {
-            surface: points.surface(&plane, config),
+            surface: points.surface(&plane),
             plane,
         }
     }
@@ -128,27 +133,23 @@ impl Candidate {
 
 /// The surface of each region, and where its outline holds it: its own plane's, or one that is seen in many places, if its outline agrees
 /// with that as well as with its own: the tiles of a floor share one plane, the bricks of a wall another.
-fn planes_of_regions(
-    measured: &[Measurement],
-    borders: &[Border],
-    config: &FillConfig,
-) -> Vec<Option<(Plane, Hull)>> {
+fn planes_of_regions(measured: &[Measurement], borders: &[Border]) -> Vec<Option<(Plane, Hull)>> {
     let regions = borders.iter().enumerate();
     let own: Vec<Option<Candidate>> = regions
         .map(|(region, border)| {
-            let plane = border.fit_plane(region as u64, config)?;
-            Some(Candidate::new(plane, border, config))
+            let plane = border.fit_plane(region as u64)?;
+            Some(Candidate::new(plane, border))
         })
         .collect();
-    let image = some_of(measured, config);
-    let mut pool: Vec<Candidate> = planes_of_image(measured, config)
+    let image = some_of(measured);
+    let mut pool: Vec<Candidate> = planes_of_image(measured)
         .into_iter()
-        .map(|plane| Candidate::new(plane, &image, config))
+        .map(|plane| Candidate::new(plane, &image))
         .collect();
     pool.extend(own.iter().flatten().cloned());
     // the best supported first; equal support in the order of the regions
     pool.sort_by_key(|candidate| std::cmp::Reverse(candidate.plane.inliers));
-    pool.truncate(config.max_offered);
+    pool.truncate(MAX_OFFERED);
     let borders = borders.iter().zip(&own);
     borders
         .map(|(border, own)| {
@@ -158,13 +159,7 @@ fn planes_of_regions(
             let best = pool
                 .iter()
                 .map(|offered| (border.count(&offered.plane), offered))
-                .filter(|(count, _)| {
-                    count.is_believable(
-                        config.min_inliers_offered,
-                        config.min_offered_share,
-                        config,
-                    )
-                })
+                .filter(|(count, _)| count.is_believable(MIN_INLIERS_OFFERED, MIN_OFFERED_SHARE))
                 // the first of equal ones
                 .rev()
                 .max_by_key(|(count, _)| count.score())
@@ -177,22 +172,22 @@ fn planes_of_regions(
 }
 
 /// Measurements of the whole image, evenly spread.
-fn some_of(measured: &[Measurement], config: &FillConfig) -> Border {
+fn some_of(measured: &[Measurement]) -> Border {
     let stride = measured.len().div_ceil(MAX_IMAGE_POINTS).max(1);
     let mut some = Border::default();
     for point in measured.iter().step_by(stride) {
-        some.push(point, config);
+        some.push(point);
     }
     some
 }
 
 /// Planes that much of the whole image lies on, one after the other.
-pub(super) fn planes_of_image(measured: &[Measurement], config: &FillConfig) -> Vec<Plane> {
-    let mut left = some_of(measured, config);
+pub(super) fn planes_of_image(measured: &[Measurement]) -> Vec<Plane> {
+    let mut left = some_of(measured);
     let min_inliers = (left.len() as f64 * MIN_IMAGE_SHARE) as usize;
     let next = |round| {
-        let plane = left.take_best_plane(round, MAX_IMAGE_SAMPLES, config)?;
-        (plane.inliers >= min_inliers.max(config.min_inliers)).then_some(plane)
+        let plane = left.take_best_plane(round, MAX_IMAGE_SAMPLES)?;
+        (plane.inliers >= min_inliers.max(MIN_INLIERS)).then_some(plane)
     };
     (0..MAX_IMAGE_PLANES).map_while(next).collect()
 }
@@ -202,7 +197,6 @@ fn fill(
     regions: &Regions,
     planes: &[Option<(Plane, Hull)>],
     max_relative_sigma: f64,
-    config: &FillConfig,
 ) -> Vec<Measurement> {
     let mut filled = Vec::new();
     for y in 0..regions.labels.height() {
@@ -218,7 +212,7 @@ fn fill(
                 continue;
             };
             let (idepth, fit_sigma) = plane.at(x as f64, y as f64);
-            let sigma = (fit_sigma.powi(2) + (config.relative_sigma * idepth).powi(2)).sqrt();
+            let sigma = (fit_sigma.powi(2) + (FLATNESS * idepth).powi(2)).sqrt();
             let is_held = (*first..=*last).contains(&(x as f64));
             if is_held && idepth > 0.0 && sigma <= max_relative_sigma * idepth {
                 filled.push(measurement((x, y), idepth as f32, sigma as f32));

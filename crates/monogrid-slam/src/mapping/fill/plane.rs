@@ -1,10 +1,30 @@
 //! Planes through the outline of a region.
 
-use super::FillConfig;
 use monogrid_geometry::Rng;
 use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 use monogrid_occupancy::DepthPixel as Measurement;
 use nalgebra::{Matrix3, Vector3};
+
+/// Weight of a point of the outline in front of the plane, where one behind it has 1: frames,
+/// skirtings and switches stand a centimetre or two in front of the wall that they outline.
+const FRONT_WEIGHT: f64 = 0.25;
+
+/// Random triples per plane (sample consensus). Measured: planes of the cupboards in red-kitchen
+/// are better than with 60.
+const SAMPLES: usize = 240;
+/// Measurements of the outline that must lie on a plane.
+pub(super) const MIN_INLIERS: usize = 20;
+/// Share of the outline that must lie on the plane of a region; what lies in front of it is no
+/// objection. Measured: dense depth beside a plain surface is often that of what stands in front
+/// of it; against 0.5, red-kitchen has 6 % more of its surfaces.
+const MIN_INLIER_SHARE: f64 = 0.3;
+/// Largest share of the outline that may lie behind the plane.
+pub(in crate::mapping) const MAX_BEHIND_SHARE: f64 = 0.05;
+/// How flat surfaces are: standard deviation of the inverse depth around the plane over the
+/// inverse depth.
+pub(super) const FLATNESS: f64 = 0.01;
+/// Neighbouring depths whose errors count as one in the uncertainty of the fit.
+const CORRELATED_POINTS: f64 = 100.0;
 
 /// Points that a candidate is judged by, at most.
 const MAX_JUDGES: usize = 300;
@@ -49,11 +69,11 @@ impl Count {
     }
 
     /// Whether enough lies on the plane, and little behind it.
-    pub fn is_believable(self, min_inliers: usize, min_share: f64, config: &FillConfig) -> bool {
+    pub fn is_believable(self, min_inliers: usize, min_share: f64) -> bool {
         let total = self.total as f64;
         self.on_plane >= min_inliers
             && self.on_plane as f64 >= min_share * total
-            && self.behind as f64 <= config.max_behind_share * total
+            && self.behind as f64 <= MAX_BEHIND_SHARE * total
     }
 }
 
@@ -118,9 +138,9 @@ impl Plane {
 
 impl Border {
     /// Adds a measurement.
-    pub fn push(&mut self, point: &Measurement, config: &FillConfig) {
+    pub fn push(&mut self, point: &Measurement) {
         let (idepth, sigma) = (point.idepth.into(), point.sigma_idepth.into());
-        let flatness = config.relative_sigma * idepth;
+        let flatness = FLATNESS * idepth;
         let own = f64::min(sigma, flatness);
         self.points.push(BorderPoint {
             x: point.x.into(),
@@ -137,25 +157,20 @@ impl Border {
     }
 
     /// Finds the plane that most points lie on, and takes these points away.
-    pub fn take_best_plane(
-        &mut self,
-        seed: u64,
-        samples: usize,
-        config: &FillConfig,
-    ) -> Option<Plane> {
-        if self.points.len() < config.min_inliers {
+    pub fn take_best_plane(&mut self, seed: u64, samples: usize) -> Option<Plane> {
+        if self.points.len() < MIN_INLIERS {
             return None;
         }
         // here nothing is seen through anything: points behind a plane do not contradict it
         let score = |border: &Self, plane: &Plane| border.count(plane).on_plane as i64;
-        let plane = self.best_plane(seed, samples, score, config)?;
+        let plane = self.best_plane(seed, samples, score)?;
         self.points.retain(|point| !plane.explains(point));
         Some(plane)
     }
 
     /// The surface that one of its planes stands for, as certain as that plane.
-    pub fn surface(&self, plane: &Plane, config: &FillConfig) -> Plane {
-        settled(&self.points, plane, config).unwrap_or_else(|| plane.clone())
+    pub fn surface(&self, plane: &Plane) -> Plane {
+        settled(&self.points, plane).unwrap_or_else(|| plane.clone())
     }
 
     /// Where the points of the outline on a plane are, px.
@@ -180,14 +195,14 @@ impl Border {
     /// The plane that the outline agrees with best; none if it contradicts it.
     ///
     /// The sampling is a function of `seed` alone.
-    pub fn fit_plane(&self, seed: u64, config: &FillConfig) -> Option<Plane> {
-        if self.points.len() < config.min_inliers {
+    pub fn fit_plane(&self, seed: u64) -> Option<Plane> {
+        if self.points.len() < MIN_INLIERS {
             return None;
         }
         let score = |border: &Self, plane: &Plane| border.count(plane).score();
-        let plane = self.best_plane(seed, config.samples, score, config)?;
+        let plane = self.best_plane(seed, SAMPLES, score)?;
         self.count(&plane)
-            .is_believable(config.min_inliers, config.min_inlier_share, config)
+            .is_believable(MIN_INLIERS, MIN_INLIER_SHARE)
             .then_some(plane)
     }
 
@@ -197,7 +212,6 @@ impl Border {
         seed: u64,
         samples: usize,
         score: impl Fn(&Self, &Plane) -> i64,
-        config: &FillConfig,
     ) -> Option<Plane> {
         let points = &self.points;
         let stride = points.len().div_ceil(MAX_JUDGES);
@@ -218,7 +232,7 @@ impl Border {
         }
         let (_, mut plane) = best?;
         for _ in 0..2 {
-            plane = fitted(&within(points, &plane, 2.0), None, config)?;
+            plane = fitted(&within(points, &plane, 2.0), None)?;
         }
         Some(plane)
     }
@@ -226,18 +240,18 @@ impl Border {
 
 /// The surface that a plane through its outline stands for. What stands before it, frames and skirtings, is left out by fits that weigh what is
 /// before them less; what then lies behind is noise, which is as large on either side.
-fn settled(points: &[BorderPoint], plane: &Plane, config: &FillConfig) -> Option<Plane> {
+fn settled(points: &[BorderPoint], plane: &Plane) -> Option<Plane> {
     let mut surface = plane.clone();
     for _ in 0..ASYMMETRIC_FITS {
-        surface = fitted(&within(points, &surface, 2.0), Some(&surface), config)?;
+        surface = fitted(&within(points, &surface, 2.0), Some(&surface))?;
     }
     let reach = NARROW_REACH * spread_behind(points, &surface);
     for _ in 0..NARROW_FITS {
         let near = within(points, &surface, reach);
-        if near.len() < config.min_inliers {
+        if near.len() < MIN_INLIERS {
             break;
         }
-        surface = fitted(&near, None, config)?;
+        surface = fitted(&near, None)?;
     }
     let [x, y] = plane.center;
     let [a, b, _] = surface.coefficients.into();
@@ -290,7 +304,7 @@ fn through(points: &[BorderPoint; 3]) -> Option<Plane> {
 
 /// Weighted least squares. Points before the plane `side_of` weigh less than those behind it (`front_weight`; [NEWEY87]), but say as much
 /// about how certain it is. Neighbouring depths share their errors: `correlated_points` of them count as one in the covariance.
-fn fitted(points: &[&BorderPoint], side_of: Option<&Plane>, config: &FillConfig) -> Option<Plane> {
+fn fitted(points: &[&BorderPoint], side_of: Option<&Plane>) -> Option<Plane> {
     let count = points.len() as f64;
     if points.len() < 3 {
         return None;
@@ -303,9 +317,9 @@ fn fitted(points: &[&BorderPoint], side_of: Option<&Plane>, config: &FillConfig)
     let mut right = Vector3::zeros();
     for point in points {
         let row = Vector3::new(point.x - center[0], point.y - center[1], 1.0);
-        let variance = point.sigma.powi(2) + (config.relative_sigma * point.idepth).powi(2);
+        let variance = point.sigma.powi(2) + (FLATNESS * point.idepth).powi(2);
         let is_before = side_of.is_some_and(|plane| plane.gap(point) > 0.0);
-        let weight = if is_before { config.front_weight } else { 1.0 };
+        let weight = if is_before { FRONT_WEIGHT } else { 1.0 };
         let outer = row * row.transpose() / variance;
         information += outer;
         normal += outer * weight;
@@ -314,7 +328,7 @@ fn fitted(points: &[&BorderPoint], side_of: Option<&Plane>, config: &FillConfig)
     Some(Plane {
         coefficients: normal.try_inverse()? * right,
         center,
-        covariance: information.try_inverse()? * config.correlated_points,
+        covariance: information.try_inverse()? * CORRELATED_POINTS,
         shared_sigma: points.iter().map(|p| p.sigma / p.idepth).sum::<f64>() / count,
         inliers: points.len(),
     })

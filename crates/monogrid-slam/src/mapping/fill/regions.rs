@@ -1,9 +1,13 @@
 //! Connected regions of weak gradient.
 
-use super::FillConfig;
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
 use std::mem::take;
+
+/// Largest smoothed gradient of plain regions, grey levels per pixel.
+const MAX_GRADIENT: f64 = 3.0;
+/// Smallest region, pixels.
+pub(in crate::mapping) const MIN_AREA_PX: usize = 30;
 
 /// The label of pixels that belong to no region.
 pub(in crate::mapping) const NO_REGION: u32 = u32::MAX;
@@ -21,19 +25,15 @@ impl Regions {
     ///
     /// Pixels connect over their *core*: those whose eight neighbours are plain too. A gap of two pixels
     /// in a faint edge therefore does not join the surfaces on both sides.
-    pub fn new<'a>(
-        image: &Image<u8>,
-        measured: impl IntoIterator<Item = &'a Measurement>,
-        config: &FillConfig,
-    ) -> Self {
-        let mut plain = plain_pixels(image, config.max_gradient);
+    pub fn new<'a>(image: &Image<u8>, measured: impl IntoIterator<Item = &'a Measurement>) -> Self {
+        let mut plain = plain_pixels(image, MAX_GRADIENT);
         for point in measured {
             let (x, y) = (usize::from(point.x), usize::from(point.y));
             if x < plain.width() && y < plain.height() {
                 plain.set(x, y, false);
             }
         }
-        Self::of_pixels(&plain, config.min_area_px)
+        Self::of_pixels(&plain, MIN_AREA_PX)
     }
 
     /// The regions of these pixels, of at least so many.

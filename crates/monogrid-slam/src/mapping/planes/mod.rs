@@ -16,25 +16,18 @@ mod tests;
 use super::posed::Scene;
 use super::scan::Depths;
 use continued::continued;
-use serde::{Deserialize, Serialize};
 pub(super) use shared::Cloud;
 use shared::Surroundings;
 use straight::straightened;
 
 /// Depth on large planes, and these planes beyond what was measured of them.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanesConfig {
-    /// Large planes around each keyframe in final maps, at most; 0: none. Default 12. Range [0,
-    /// 1000].
+    /// Large planes around each keyframe in final maps, at most; 0: none.
     pub max_count: usize,
     /// Relative standard deviation of the inverse depth of a large plane, with which depth that
-    /// agrees with it is averaged; 0: depth stays as it is. Default 0.006. Range [0, 1].
-    pub relative_sigma: f64,
-    /// How far from where it was measured a plane is continued, as a share of the range. Default
-    /// 0.15: icl-office-kt3, which is open on one side, has 7,800 cells outside with 0.1, 10,100
-    /// with 0.15, 12,700 with 0.2. Range [0, 100].
-    pub max_extent: f64,
+    /// agrees with it is averaged; 0: depth stays as it is.
+    pub(crate) relative_sigma: f64,
 }
 
 impl Default for PlanesConfig {
@@ -42,7 +35,6 @@ impl Default for PlanesConfig {
         Self {
             max_count: 12,
             relative_sigma: 0.006,
-            max_extent: 0.15,
         }
     }
 }

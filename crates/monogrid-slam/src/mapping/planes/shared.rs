@@ -95,7 +95,7 @@ impl Cloud {
             let offset = normal.dot(&middle);
             offset.is_finite().then_some(Hypothesis { normal, offset })
         };
-        let planes = planes_of_image(&depths, &config.fill);
+        let planes = planes_of_image(&depths);
         Self {
             points: some(MAX_POINTS).map(point).collect(),
             planes: planes.iter().filter_map(hypothesis).collect(),

@@ -3,7 +3,7 @@
 use super::UprightConfig;
 use super::segments::segments;
 use crate::mapping::fill::planes_of_image;
-use crate::mapping::{FillConfig, ImageOf, KeyframeScan};
+use crate::mapping::{ImageOf, KeyframeScan};
 use monogrid_geometry::{Sim3, Vec2, Vec3};
 use rayon::prelude::*;
 
@@ -49,7 +49,7 @@ impl Evidence {
     /// Collects it from all keyframes.
     pub fn of(views: &[UprightView], config: &UprightConfig) -> Self {
         let seen = |view: &UprightView| {
-            let planes = planes_of_image(&view.scan.pixels(), &FillConfig::default());
+            let planes = planes_of_image(&view.scan.pixels());
             let min_length_px = config.min_edge * view.scan.camera.width as f64;
             let image = view.image.and_then(ImageOf::get);
             let segments = image.map(|image| segments(&image, min_length_px));

@@ -17,11 +17,9 @@ pub use floor::Floor;
 use evidence::Evidence;
 use monogrid_geometry::nalgebra::{Matrix3, Rotation3};
 use monogrid_geometry::{Rotation, Sim3, Vec3};
-use serde::{Deserialize, Serialize};
 
 /// How up and the floor are found.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct UprightConfig {
     /// Standard deviation of the roll of a hand-held camera, mean over a run, degrees. Default 20. Range [1, 180].
     pub roll_sigma_deg: f64,

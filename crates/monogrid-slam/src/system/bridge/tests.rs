@@ -1,8 +1,10 @@
 use super::*;
+use crate::policy::MAX_BRIDGE_SCALE_SIGMA;
 use crate::start::Start;
 use crate::system::Slam;
+use crate::system::steps::BRIDGE_FRAMES;
 use crate::test_world::small_demo;
-use crate::{FragmentConfig, FrameInput, FrameReport, SlamConfig};
+use crate::{FrameInput, FrameReport, SlamConfig};
 use monogrid_geometry::Vec6;
 use monogrid_image::{GrayImage, Mask};
 use monogrid_worlds::SynthSequence;
@@ -45,10 +47,7 @@ fn after_a_loss(sequence: &SynthSequence, change: fn(GrayImage) -> GrayImage) ->
 fn a_start_that_shows_the_frames_before_it_lies_in_the_map() {
     let sequence = small_demo();
     let (mut slam, started) = after_a_loss(sequence, |image| image);
-    assert_eq!(
-        slam.camera.known.len(),
-        FragmentConfig::default().bridge_frames
-    );
+    assert_eq!(slam.camera.known.len(), BRIDGE_FRAMES);
     let landing = slam.land(&started).unwrap();
 
     let first = started.keyframe.index;
@@ -65,7 +64,7 @@ fn a_start_that_shows_the_frames_before_it_lies_in_the_map() {
         panic!("one loss was bridged");
     };
     assert_eq!(bridge.first_frame, first);
-    assert!(bridge.scale_sigma < FragmentConfig::default().max_bridge_scale_sigma);
+    assert!(bridge.scale_sigma < MAX_BRIDGE_SCALE_SIGMA);
     // all frames but those that wait have poses in the map, in metres
     let trajectory = slam.trajectory();
     assert_eq!(trajectory.len(), TRACKED + (first - TRACKED) + 1);

@@ -102,7 +102,7 @@ fn turned(px: f64) -> Se3 {
 #[test]
 fn points_confirm_a_pose_that_is_right_to_a_pixel_and_no_other() {
     let map = map(20);
-    let limit = PointTrackingConfig::default().probe_error_px;
+    let limit = PROBE_ERROR_PX;
     for px in [0.0, 0.7 * limit, -0.7 * limit] {
         assert!(is_confirmed(&map, &turned(px)), "{px} px");
     }
@@ -114,6 +114,6 @@ fn points_confirm_a_pose_that_is_right_to_a_pixel_and_no_other() {
 #[test]
 fn few_points_confirm_nothing() {
     let few = map(60);
-    assert!(few.points().len() < PointTrackingConfig::default().min_inliers);
+    assert!(few.points().len() < MIN_POINT_INLIERS);
     assert!(!is_confirmed(&few, &Se3::identity()));
 }
