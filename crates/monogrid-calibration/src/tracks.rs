@@ -195,6 +195,8 @@ impl TrackCollector {
             &occupied,
             &CornerConfig {
                 max_corners: wanted.max(1),
+                // what is found on coarser levels is not exact enough
+                num_coarser: 0,
                 ..CornerConfig::default()
             },
         );

@@ -1,7 +1,7 @@
 //! Well-distributed corners: smaller eigenvalue of the structure tensor (Shi and Tomasi, 1994),
 //! one maximum per small cell, then the best of every larger cell first.
 
-use crate::finest_pixel;
+use crate::{finest_pixel, noise_share};
 use monogrid_geometry::Vec2;
 use monogrid_image::lanes::Lanes;
 use monogrid_image::{GrayImage, Image, Mask, Pyramid, for_lanes};
@@ -11,12 +11,16 @@ use monogrid_image::{GrayImage, Image, Mask, Pyramid, for_lanes};
 pub struct CornerConfig {
     /// Most corners that are returned. Range 1..; default 600.
     pub max_corners: usize,
-    /// Pyramid level on which corners are searched. Default 0.
+    /// Pyramid level on which corners are searched first. Default 0.
     pub level: usize,
+    /// Coarser levels on which they are searched where finer ones show too few: faint blotches
+    /// stand out of the noise there. Default 2.
+    pub num_coarser: usize,
     /// Smallest distance between two corners, level-0 px. Default 10.
     pub min_distance_px: f64,
-    /// Smallest score: mean squared gradient in the weakest direction, (grey levels / px)².
-    /// Default 5; camera noise of two grey levels alone gives about 1.5.
+    /// Smallest score on `level`: mean squared gradient in the weakest direction,
+    /// (grey levels / px)². Default 5; camera noise of two grey levels alone gives about 1.5. On
+    /// each coarser level a quarter of it, as the variance of the noise.
     pub min_score: f32,
     /// No corner closer to the border than this, level-0 px. Default 12: room for a patch.
     pub border_px: usize,
@@ -27,6 +31,7 @@ impl Default for CornerConfig {
         Self {
             max_corners: 600,
             level: 0,
+            num_coarser: 2,
             min_distance_px: 10.0,
             min_score: 5.0,
             border_px: 12,
@@ -46,7 +51,11 @@ pub struct Corner {
 /// Half width of the window of the structure tensor, px.
 const WINDOW: usize = 2;
 
-/// Finds at most `config.max_corners` corners, spread over the image, best cells first.
+/// No corner closer to the border than this, px of its level: room for a patch there.
+const MIN_BORDER: usize = 6;
+
+/// Finds at most `config.max_corners` corners, spread over the image, best cells first, finer levels
+/// before coarser ones.
 ///
 /// `mask` (level-0 size, 0 = ignore) excludes pixels; corners keep `min_distance_px` from the
 /// pixels in `occupied` too. Returns an empty list for an image too small to hold one.
@@ -57,29 +66,49 @@ pub fn detect_corners(
     occupied: &[Vec2],
     config: &CornerConfig,
 ) -> Vec<Corner> {
-    let level = config.level.min(pyramid.num_levels().saturating_sub(1));
-    let Some(image) = pyramid.levels.get(level) else {
+    let Some(finest) = pyramid.levels.first() else {
         return Vec::new();
     };
-    let scores = score_image(image);
-    let candidates = cell_maxima(&scores, mask, level, config);
-    let ordered = spread(candidates, image, config.max_corners);
-    let finest = pyramid.level(0);
     let mut taken = Spacing::new(finest.width(), finest.height(), config.min_distance_px);
     for pixel in occupied {
         taken.insert(*pixel);
     }
+    let coarsest = pyramid.num_levels() - 1;
+    let first = config.level.min(coarsest);
+    let last = (first + config.num_coarser).min(coarsest);
     let mut corners = Vec::with_capacity(config.max_corners);
-    for (x, y, score) in ordered {
-        if corners.len() >= config.max_corners {
-            break;
-        }
+    for level in first..=last {
+        detect_on_level(pyramid, level, mask, config, &mut taken, &mut corners);
+    }
+    corners
+}
+
+/// Adds the corners of one level that keep their distance from those taken.
+fn detect_on_level(
+    pyramid: &Pyramid,
+    level: usize,
+    mask: Option<&Mask>,
+    config: &CornerConfig,
+    taken: &mut Spacing,
+    corners: &mut Vec<Corner>,
+) {
+    let missing = config.max_corners.saturating_sub(corners.len());
+    if missing == 0 {
+        return;
+    }
+    let image = pyramid.level(level);
+    let scores = score_image(image);
+    let min_score = config.min_score * noise_share(level.saturating_sub(config.level));
+    let candidates = cell_maxima(&scores, mask, level, min_score, config);
+    let mut ordered = spread(candidates, image, missing).into_iter();
+    while corners.len() < config.max_corners
+        && let Some((x, y, score)) = ordered.next()
+    {
         let pixel = finest_pixel(&subpixel_peak(&scores, x, y), level);
         if taken.try_insert(pixel) {
             corners.push(Corner { pixel, score });
         }
     }
-    corners
 }
 
 for_lanes! {
@@ -156,18 +185,19 @@ fn cell_maxima(
     scores: &GrayImage,
     mask: Option<&Mask>,
     level: usize,
+    min_score: f32,
     config: &CornerConfig,
 ) -> Vec<(usize, usize, f32)> {
     let (w, h) = (scores.width(), scores.height());
     let scale = (1usize << level) as f64;
-    let border = ((config.border_px as f64 / scale).ceil() as usize).max(WINDOW + 2);
+    let border = ((config.border_px as f64 / scale).ceil() as usize).max(MIN_BORDER);
     let cell = ((config.min_distance_px / scale).floor() as usize).clamp(4, 64);
     let mut found = Vec::new();
     let (mut y0, x_end, y_end) = (border, w.saturating_sub(border), h.saturating_sub(border));
     while y0 < y_end {
         let mut x0 = border;
         while x0 < x_end {
-            let mut best = (0, 0, config.min_score);
+            let mut best = (0, 0, min_score);
             for y in y0..(y0 + cell).min(y_end) {
                 let row = &scores.row(y)[x0..(x0 + cell).min(x_end)];
                 for (i, &score) in row.iter().enumerate() {
@@ -177,7 +207,7 @@ fn cell_maxima(
                 }
             }
             let (x, y, score) = best;
-            if score > config.min_score && is_peak(scores, x, y) && allowed(mask, x, y, level) {
+            if score > min_score && is_peak(scores, x, y) && allowed(mask, x, y, level) {
                 found.push(best);
             }
             x0 += cell;
@@ -299,7 +329,7 @@ impl Spacing {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_images::Texture;
+    use crate::test_images::{Texture, add_noise, blotches};
     use monogrid_image::lanes::Baseline;
 
     fn world() -> Pyramid {
@@ -378,6 +408,38 @@ mod tests {
         assert!(left > 30, "{left} of {} on the left", corners.len());
     }
 
+    /// Corners on a level and so many coarser ones of an image with noise of two grey levels.
+    fn in_noise(mut image: GrayImage, level: usize, num_coarser: usize) -> Vec<Corner> {
+        add_noise(&mut image, 2.0, 3);
+        let config = CornerConfig {
+            level,
+            num_coarser,
+            ..CornerConfig::default()
+        };
+        detect_corners(&Pyramid::new(image, 4), None, &[], &config)
+    }
+
+    #[test]
+    fn faint_blotches_are_corners_on_coarser_levels_and_noise_is_on_none() {
+        let faint = || blotches(320, 240, |x, y| (x, y));
+        let (finest, all) = (in_noise(faint(), 0, 0), in_noise(faint(), 0, 2));
+        assert!(all.len() > 60, "{}", all.len());
+        assert!(
+            finest.len() * 3 < all.len(),
+            "{} {}",
+            finest.len(),
+            all.len()
+        );
+        assert_eq!(all[..finest.len()], finest, "the finest level is first");
+        let flat = GrayImage::filled(320, 240, 128.0);
+        let noise = in_noise(flat, 0, 2).len();
+        assert!(
+            noise * 20 < all.len(),
+            "{noise} in noise, {} in all",
+            all.len()
+        );
+    }
+
     #[test]
     fn corners_move_with_the_image() {
         let texture = Texture::new(5);
@@ -408,9 +470,7 @@ mod tests {
             GrayImage::filled(5, 3, 7.0),
             GrayImage::filled(100, 80, 7.0),
         ] {
-            let pyramid = Pyramid {
-                levels: vec![image],
-            };
+            let pyramid = Pyramid::new(image, 1);
             assert!(detect_corners(&pyramid, None, &[], &config).is_empty());
         }
         assert!(detect_corners(&Pyramid::default(), None, &[], &config).is_empty());

@@ -35,6 +35,7 @@ pub use place::{
     PlaceBeliefs, PlaceCorners, PlaceMemory, PlaceMemoryConfig, PlaceVocabulary, Relocalisation,
     Support, TrainingError, VocabularyConfig, VocabularyError, VocabularyProgress,
 };
+pub(crate) use track::noise_share;
 pub use track::{
     Likeness, LikenessConfig, LikenessSlope, PatchFit, PatchSearchConfig, ReferencePatch,
     TrackConfig, TrackOutcome, find_patch, finest_pixel, level_pixel, patch_warp, track_points,

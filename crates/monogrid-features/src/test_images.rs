@@ -48,6 +48,20 @@ impl Texture {
     }
 }
 
+/// Blotches of some 15 px that differ by a few grey levels: on the finest level noise of two grey
+/// levels hides their gradients, on coarser ones it does not.
+pub(crate) fn blotches(
+    width: usize,
+    height: usize,
+    warp: impl Fn(f64, f64) -> (f64, f64),
+) -> GrayImage {
+    Image::from_fn(width, height, |x, y| {
+        let (u, v) = warp(x as f64, y as f64);
+        let wave = (0.21 * u + 0.9 * (0.03 * v).sin()).sin() * (0.19 * v + (0.041 * u).cos()).sin();
+        (128.0 + 8.0 * wave) as f32
+    })
+}
+
 /// Adds Gaussian noise.
 pub(crate) fn add_noise(image: &mut GrayImage, sigma: f64, seed: u64) {
     let mut rng = Rng::new(seed);

@@ -311,6 +311,8 @@ fn what_nobody_told_of_the_camera_is_found() {
             "run".into(),
             file("world"),
             "--json".into(),
+            "--sensor-model".into(),
+            "none".into(),
             "--force".into(),
             "--out".into(),
             file("out"),

@@ -141,6 +141,7 @@ impl FeatureExtractor {
                 &CornerConfig {
                     max_corners: (share * self.config.max_features as f64).round() as usize,
                     level,
+                    num_coarser: 0,
                     min_distance_px: self.config.min_distance_px * scale,
                     min_score: self.config.min_score,
                     border_px: (RADIUS as usize + 2) << level,

@@ -21,6 +21,12 @@ pub fn level_pixel(pixel: &Vec2, level: usize) -> Vec2 {
     pixel.map(|v| (v + 0.5) * scale - 0.5)
 }
 
+/// Variance of the noise on a level as a share of that on level 0: each averages four pixels of
+/// the finer one.
+pub(crate) fn noise_share(level: usize) -> f32 {
+    1.0 / (1u64 << (2 * level)) as f32
+}
+
 /// The level-0 pixel at the pixel `pixel` of level `level`.
 #[must_use]
 pub fn finest_pixel(pixel: &Vec2, level: usize) -> Vec2 {

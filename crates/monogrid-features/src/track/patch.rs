@@ -1,6 +1,6 @@
 //! Patches anchored in a keyframe, warped to the current view and found again: the sparse layer.
 
-use super::points::{TrackOutcome, to_f32, to_vec2};
+use super::points::{TrackOutcome, min_score, to_f32, to_vec2};
 use super::template::{
     AlignLimits, LevelFailure, LevelFit, PatchFit, SIDE, Template, WIDE, centre_of_corner,
     integer_corner,
@@ -30,7 +30,8 @@ pub struct PatchSearchConfig {
     /// A second place whose `1 - correlation` is at most this many times that of the best makes
     /// the match ambiguous. Default 1.5.
     pub min_dissimilarity_ratio: f32,
-    /// Weakest mean squared gradient of a patch, (grey levels / px)². Default 2.
+    /// Weakest mean squared gradient of a patch on level 0, (grey levels / px)². Default 2. One
+    /// that shows less there is found on the finest level on which it stands out of the noise.
     pub min_score: f32,
 }
 
@@ -96,18 +97,17 @@ pub fn find_patch(
     let coarsest = config
         .search_level
         .min(current.num_levels().saturating_sub(1));
-    let mut patches = Vec::with_capacity(coarsest + 1);
+    let mut patches: Vec<ReferencePatch> = Vec::with_capacity(coarsest + 1);
     for level in 0..=coarsest {
-        let patch = ReferencePatch::new(
-            reference,
-            pixel,
-            reference_from_current,
-            level,
-            config.min_score,
-        );
+        let finest = patches.first().map_or(level, |patch| patch.level);
+        let min_score = min_score(config.min_score, finest, level);
+        let warp = reference_from_current;
+        let patch = ReferencePatch::new(reference, pixel, warp, level, min_score);
         match patch {
             Ok(patch) => patches.push(patch),
-            Err(outcome) if level == 0 => return outcome,
+            // nothing but noise on this level: the next one shows more
+            Err(TrackOutcome::NoTexture) if patches.is_empty() && level < coarsest => {}
+            Err(outcome) if patches.is_empty() => return outcome,
             // too close to the border or too smooth up there: search on the finer levels only
             Err(_) => break,
         }
@@ -165,13 +165,14 @@ pub fn patch_warp(
     Matrix2::from_columns(&columns).try_inverse()
 }
 
-/// Refines on every level from that of the last patch down to 0.
+/// Refines on every level from that of the last patch down to that of the first.
 fn refine(
     patches: &[ReferencePatch],
     current: &Pyramid,
     start: &Vec2,
     config: &PatchSearchConfig,
 ) -> Result<PatchFit, TrackOutcome> {
+    let finest_level = patches.first().map_or(0, |patch| patch.level);
     let mut estimate = *start;
     let mut finest = None;
     for patch in patches.iter().rev() {
@@ -182,8 +183,9 @@ fn refine(
                 estimate = fit.pixel;
                 finest = Some(fit);
             }
-            Err(failure) if patch.level == 0 => return Err(failure.into()),
-            Err(_) => {}
+            // a finer level may still find it
+            Err(_) if patch.level > finest_level => {}
+            Err(failure) => return Err(failure.into()),
         }
     }
     finest.ok_or(TrackOutcome::Diverged)
@@ -216,7 +218,8 @@ fn accept(fit: PatchFit, config: &PatchSearchConfig) -> TrackOutcome {
     TrackOutcome::Tracked(fit)
 }
 
-fn finest_fit(fit: &LevelFit, level: usize) -> PatchFit {
+/// A fit of a level in pixels of the finest.
+pub(super) fn finest_fit(fit: &LevelFit, level: usize) -> PatchFit {
     let inv_scale_sq = 1.0 / (1u64 << (2 * level)) as f32;
     PatchFit {
         pixel: finest_pixel(&to_vec2(fit.centre), level),

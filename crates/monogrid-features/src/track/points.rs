@@ -1,7 +1,8 @@
 //! Pyramidal Lucas-Kanade tracking of many points from one image to another.
 
-use super::template::{AlignLimits, LevelFailure, PatchFit, Template};
-use crate::{finest_pixel, level_pixel};
+use super::patch::finest_fit;
+use super::template::{AlignLimits, LevelFailure, PatchFit, Template, WIDE, sample};
+use crate::{finest_pixel, level_pixel, noise_share};
 use monogrid_geometry::Vec2;
 use monogrid_image::Pyramid;
 
@@ -18,10 +19,11 @@ pub struct TrackConfig {
     pub max_level_move_px: f32,
     /// Smallest correlation of the finest patch. Default 0.8.
     pub min_correlation: f32,
-    /// Weakest mean squared gradient of a patch, (grey levels / px)². Default 2.
+    /// Weakest mean squared gradient of a patch on level 0, (grey levels / px)². Default 2. One
+    /// that shows less there is found on the finest level on which it stands out of the noise.
     pub min_score: f32,
-    /// Largest distance between a point and where tracking back from its match leads, px;
-    /// `None` does not track back. Default 1.
+    /// Largest distance between a point and where tracking back from its match leads, px of the
+    /// finest level on which it was found; `None` does not track back. Default 1.
     pub max_back_distance_px: Option<f64>,
 }
 
@@ -124,8 +126,9 @@ fn track_point(
     start: &Vec2,
     config: &TrackConfig,
 ) -> TrackOutcome {
-    let fit = match coarse_to_fine(reference, current, point, start, config.num_levels, config) {
-        Ok(fit) => fit,
+    let found = coarse_to_fine(reference, current, point, start, config.num_levels, config);
+    let (fit, level) = match found {
+        Ok(found) => found,
         Err(outcome) => return outcome,
     };
     if fit.correlation < config.min_correlation {
@@ -134,13 +137,13 @@ fn track_point(
         };
     }
     if let Some(limit) = config.max_back_distance_px {
-        // from two levels up: enough to slide away from a wrong match, cheap
-        let levels = config.num_levels.min(2);
+        // from the next coarser level: enough to slide away from a wrong match, cheap
+        let levels = config.num_levels.min(level + 2);
         match coarse_to_fine(current, reference, &fit.pixel, point, levels, config) {
             Err(outcome) => return outcome,
-            Ok(back) => {
+            Ok((back, _)) => {
                 let distance_px = (back.pixel - point).norm();
-                if distance_px > limit {
+                if distance_px > limit * (1u64 << level) as f64 {
                     return TrackOutcome::Inconsistent { distance_px };
                 }
             }
@@ -149,8 +152,9 @@ fn track_point(
     TrackOutcome::Tracked(fit)
 }
 
-/// Aligns on `num_levels` levels; a coarse level on which the patch does not fit into the images or
-/// has no texture is skipped.
+/// Aligns on `num_levels` levels, down to the finest on which the patch stands out of the noise,
+/// which is returned beside the fit. A coarse level on which the patch does not fit into the images
+/// or has no texture is skipped.
 fn coarse_to_fine(
     reference: &Pyramid,
     current: &Pyramid,
@@ -158,20 +162,25 @@ fn coarse_to_fine(
     start: &Vec2,
     num_levels: usize,
     config: &TrackConfig,
-) -> Result<PatchFit, TrackOutcome> {
+) -> Result<(PatchFit, usize), TrackOutcome> {
     let limits = AlignLimits {
         max_iterations: config.max_iterations,
         min_step: config.min_step_px,
         max_distance: config.max_level_move_px,
     };
-    let levels = num_levels
-        .min(reference.num_levels())
-        .min(current.num_levels());
+    let all_levels = reference.num_levels().min(current.num_levels());
+    let levels = num_levels.min(all_levels);
+    let (finest, own) = finest_level(
+        reference,
+        point,
+        all_levels.min(COARSEST_FINEST + 1),
+        config,
+    )?;
     let mut estimate = *start;
-    for level in (1..levels).rev() {
+    for level in (finest + 1..levels).rev() {
         let centre = to_f32(&level_pixel(point, level));
-        let Some(template) = Template::sampled(reference.level(level), centre, config.min_score)
-        else {
+        let min_score = min_score(config.min_score, finest, level);
+        let Some(template) = Template::sampled(reference.level(level), centre, min_score) else {
             continue;
         };
         let guess = to_f32(&level_pixel(&estimate, level));
@@ -181,26 +190,47 @@ fn coarse_to_fine(
             estimate = finest_pixel(&to_vec2(fit.centre), level);
         }
     }
-    let image = reference.levels.first().ok_or(TrackOutcome::OutOfImage)?;
-    let target = current.levels.first().ok_or(TrackOutcome::OutOfImage)?;
-    let centre = to_f32(point);
-    if super::template::sample::<{ super::template::WIDE }, _>(image, centre).is_none() {
-        return Err(TrackOutcome::OutOfImage);
+    let guess = to_f32(&level_pixel(&estimate, finest));
+    let fit = own.align(current.level(finest), guess, &limits)?;
+    Ok((finest_fit(&fit, finest), finest))
+}
+
+/// The finest of so many levels on which a patch stands out of the noise, and what it looks like
+/// there.
+fn finest_level(
+    reference: &Pyramid,
+    point: &Vec2,
+    num_levels: usize,
+    config: &TrackConfig,
+) -> Result<(usize, Template), TrackOutcome> {
+    for level in 0..num_levels {
+        let centre = to_f32(&level_pixel(point, level));
+        let patch = sample::<WIDE, _>(reference.level(level), centre);
+        let patch = patch.ok_or(TrackOutcome::OutOfImage)?;
+        let min_score = min_score(config.min_score, level, level);
+        if let Some(template) = Template::new(&patch, min_score) {
+            return Ok((level, template));
+        }
     }
-    let template =
-        Template::sampled(image, centre, config.min_score).ok_or(TrackOutcome::NoTexture)?;
-    let fit = template.align(target, to_f32(&estimate), &limits)?;
-    Ok(PatchFit {
-        pixel: to_vec2(fit.centre),
-        correlation: fit.correlation,
-        residual_rms: fit.residual_rms,
-        gain: fit.gain,
-        hessian: fit.hessian,
-    })
+    Err(TrackOutcome::NoTexture)
+}
+
+/// Weakest score on a level of a patch that stands out of the noise on `finest` first, where
+/// `least` is that on level 0. A strong patch needs as much on every level. A faint one needs less
+/// on coarser ones, as there is less noise.
+pub(super) fn min_score(least: f32, finest: usize, level: usize) -> f32 {
+    if finest == 0 {
+        least
+    } else {
+        least * noise_share(level)
+    }
 }
 
 /// A coarse result less alike than this is not followed.
 const COARSE_CORRELATION: f32 = 0.5;
+
+/// A patch that stands out of the noise on coarser levels only is not found exactly enough.
+const COARSEST_FINEST: usize = 2;
 
 pub(super) fn to_f32(pixel: &Vec2) -> [f32; 2] {
     [pixel.x as f32, pixel.y as f32]

@@ -1,5 +1,5 @@
 use super::*;
-use crate::test_images::{Texture, add_noise};
+use crate::test_images::{Texture, add_noise, blotches};
 use crate::{CornerConfig, detect_corners};
 use monogrid_geometry::nalgebra::Matrix2;
 use monogrid_geometry::{Pinhole, Se3, Vec6};
@@ -52,6 +52,72 @@ fn shift_errors(shift: Vec2, gain: f32, bias: f32, noise: f64) -> (Vec<f64>, usi
         .filter_map(|(p, o)| Some((o.pixel()? - p - shift).norm()))
         .collect();
     (errors, points.len())
+}
+
+/// Faint blotches before and after a shift, in noise of two grey levels.
+fn faint(shift: Vec2) -> [Pyramid; 2] {
+    let image = |seed: u64, shift: Vec2| {
+        let mut image = blotches(W, H, |x, y| (x - shift.x, y - shift.y));
+        add_noise(&mut image, 2.0, seed);
+        pyramid(image)
+    };
+    [image(1, Vec2::zeros()), image(2, shift)]
+}
+
+#[test]
+fn faint_blotches_are_followed_on_the_level_on_which_they_stand_out_of_the_noise() {
+    let shift = Vec2::new(3.3, -2.6);
+    let [reference, current] = faint(shift);
+    let points = corners(&reference);
+    assert!(points.len() > 60, "{} corners", points.len());
+    let config = TrackConfig::default();
+    let found = track_points(&reference, &current, &points, &points, &config);
+    let predicted: Vec<Vec2> = points.iter().map(|p| p + shift).collect();
+    // the blotches are all alike: no wider than from one to the next
+    let search = PatchSearchConfig {
+        radius_px: 6.0,
+        ..PatchSearchConfig::default()
+    };
+    let find = |(p, predicted): (&Vec2, &Vec2)| {
+        let warp = Matrix2::identity();
+        find_patch(&reference, p, &warp, &current, predicted, &search)
+    };
+    let searched: Vec<TrackOutcome> = points.iter().zip(&predicted).map(find).collect();
+    for outcomes in [found, searched] {
+        let errors = points.iter().zip(&outcomes);
+        let errors = errors.filter_map(|(p, o)| Some((o.pixel()? - p - shift).norm()));
+        let errors: Vec<f64> = errors.collect();
+        assert!(
+            errors.len() * 2 > points.len(),
+            "{} of {}",
+            errors.len(),
+            points.len()
+        );
+        let middle = median(errors);
+        assert!(middle < 0.7, "median error {middle} px");
+    }
+}
+
+#[test]
+fn what_only_noise_shows_is_not_followed() {
+    let mut flat = [1, 2].map(|seed| {
+        let mut image = GrayImage::filled(W, H, 128.0);
+        add_noise(&mut image, 2.0, seed);
+        pyramid(image)
+    });
+    let points: Vec<Vec2> = (2..18)
+        .flat_map(|x| (2..13).map(move |y| Vec2::new(16.0 * f64::from(x), 16.0 * f64::from(y))))
+        .collect();
+    let [reference, current] = &mut flat;
+    let outcomes = track_points(
+        reference,
+        current,
+        &points,
+        &points,
+        &TrackConfig::default(),
+    );
+    let found = outcomes.iter().filter(|o| o.fit().is_some()).count();
+    assert!(found * 20 < points.len(), "{found} of {}", points.len());
 }
 
 #[test]
