@@ -44,8 +44,8 @@ pub struct Alignment {
     /// Mean over *all* points of `min(depth in keyframe / depth in frame, 1)` (invisible: 0): how
     /// much of the keyframe's area the frame still resolves.
     pub usage: f32,
-    /// Correlation of the grey values over the visible points of the finest level; `None` where there is
-    /// no contrast.
+    /// Correlation of the grey values over the visible points of the finest level; `None` where
+    /// there is no contrast.
     pub correlation: Option<f64>,
     /// Points of the finest level.
     pub num_points: usize,
@@ -141,8 +141,8 @@ struct LevelResult {
 
 /// Levenberg-Marquardt on one level; a step is accepted on the true cost.
 ///
-/// The scale of the t distribution is estimated before the first step (from that of the coarser level)
-/// and then stays, so that costs remain comparable.
+/// The scale of the t distribution is estimated before the first step (from that of the coarser
+/// level) and then stays, so that costs remain comparable.
 fn align_level(
     reference: &Reference,
     target: &Target,

@@ -32,8 +32,8 @@ pub(crate) struct Choice<'f, 'a> {
     pub(crate) predicted_var: f32,
 }
 
-/// The frame with the smallest predicted variance (or the first usable one), of those of which `consider` says no
-/// reason why not; the last reason if there is none.
+/// The frame with the smallest predicted variance (or the first usable one), of those of which
+/// `consider` says no reason why not; the last reason if there is none.
 #[inline(always)]
 fn best_of<'f, 'a>(
     frames: &'f [Prepared<'a>],

@@ -23,8 +23,8 @@ pub enum FrameChoice {
 pub enum VarianceModel {
     /// LSD-SLAM's constants: `alpha² (0.05 + (0.25 (1 + residual))² |g|²/(g·l)² + 4 sigma_I²/G)`.
     Lsd,
-    /// Pose uncertainty, noise estimated from the residuals, the part shared by all observations of a
-    /// pixel kept apart as a floor.
+    /// Pose uncertainty, noise estimated from the residuals, the part shared by all observations of
+    /// a pixel kept apart as a floor.
     Honest,
 }
 
@@ -153,8 +153,8 @@ impl Default for DepthConfig {
 }
 
 impl DepthConfig {
-    /// LSD-SLAM's rules and constants without the listed defects (no interpolation at interval ends,
-    /// ambiguity by non-adjacent minima, no wrap-around at the border).
+    /// LSD-SLAM's rules and constants without the listed defects (no interpolation at interval
+    /// ends, ambiguity by non-adjacent minima, no wrap-around at the border).
     #[must_use]
     pub fn thesis() -> Self {
         Self {

@@ -1,12 +1,13 @@
 //! Semi-dense inverse-depth filter.
 //!
-//! Every pixel of a keyframe with enough gradient carries a Gaussian over its inverse depth, refined
-//! by small- and long-baseline stereo against frames whose pose is known.
+//! Every pixel of a keyframe with enough gradient carries a Gaussian over its inverse depth,
+//! refined by small- and long-baseline stereo against frames whose pose is known.
 //!
 //! Flow: [`HostFrame`] (image, gradients, mask) → [`DepthMap::propagate`] or an `initialize_…` →
 //! for each frame [`DepthMap::bands`] and [`DepthBand::observe`], [`DepthMap::finish_observation`],
-//! [`DepthMap::fill_holes`], [`DepthMap::regularize`] → [`DepthMap::pixels`]. When all poses are known:
-//! [`refine_depth`] from the images of the other keyframes, and [`dense_depth`] for the pixels that the filter does not have.
+//! [`DepthMap::fill_holes`], [`DepthMap::regularize`] → [`DepthMap::pixels`]. When all poses are
+//! known: [`refine_depth`] from the images of the other keyframes, and [`dense_depth`] for the
+//! pixels that the filter does not have.
 //!
 //! # Conventions
 //!
@@ -18,8 +19,8 @@
 //! * Nothing here spawns threads: kernels work on bands of rows that the caller distributes, and the
 //!   result does not depend on the bands.
 //!
-//! References: \[SDVO13\] Engel, Sturm, Cremers, *Semi-Dense Visual Odometry for a Monocular Camera*,
-//! ICCV 2013; \[Hull17\] section 3.3.2.
+//! References: \[SDVO13\] Engel, Sturm, Cremers, *Semi-Dense Visual Odometry for a Monocular
+//! Camera*, ICCV 2013; \[Hull17\] section 3.3.2.
 #![deny(missing_docs)]
 
 mod choose;

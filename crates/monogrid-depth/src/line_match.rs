@@ -5,8 +5,8 @@
 //! `refine` finds the sub-pixel position.
 //!
 //! The refinement is inverse-compositional: it solves `sum g r = 0` with the gradient `g` of the
-//! keyframe's samples as central differences. Noise of the frame is then independent of `g`, and the
-//! keyframe's own noise cancels in `sum g n` up to the ends, so the match is not drawn to any
+//! keyframe's samples as central differences. Noise of the frame is then independent of `g`, and
+//! the keyframe's own noise cancels in `sum g n` up to the ends, so the match is not drawn to any
 //! fraction of a pixel as the minimum of an interpolated SSD is.
 
 use crate::stats::PixelOutcome;
@@ -89,8 +89,8 @@ impl Walk<'_> {
         bilinear(Baseline, self.image, x, y).map(|raw| (raw - self.bias) * self.inv_gain)
     }
 
-    /// Samples every px from `from`, in fixed point: steps are exact to 1e-3 px over any search, and
-    /// no number is converted to an integer on the way.
+    /// Samples every px from `from`, in fixed point: steps are exact to 1e-3 px over any search,
+    /// and no number is converted to an integer on the way.
     fn fill(&self, from: f32, values: &mut [f32]) {
         const ONE: f32 = 65536.0;
         let start = |axis| ((self.origin[axis] + from * self.direction[axis]) * ONE) as i32;
@@ -180,7 +180,8 @@ fn search_in(
     })
 }
 
-/// SSD at each position; one sample of the patch at a time, so that positions are computed in lanes.
+/// SSD at each position; one sample of the patch at a time, so that positions are computed in
+/// lanes.
 fn fill_costs(patch: &Patch, values: &[f32], costs: &mut [f32]) {
     let num = costs.len();
     costs.fill(0.0);

@@ -43,8 +43,9 @@ pub struct WarpedDepth {
 }
 
 impl DepthMap {
-    /// The depth of this keyframe as seen from `target`, an image of the same camera. `target_from_source` has its translation in
-    /// this keyframe's unit, which is also the unit of the result ([`DepthMap::rescale`] changes it).
+    /// The depth of this keyframe as seen from `target`, an image of the same camera.
+    /// `target_from_source` has its translation in this keyframe's unit, which is also the unit of
+    /// the result ([`DepthMap::rescale`] changes it).
     #[must_use]
     pub fn propagate(
         &self,
@@ -74,7 +75,8 @@ impl DepthMap {
         self.limit_search(config);
     }
 
-    /// Warps every known pixel into an image of the same camera and sorts it into lists per nearest pixel there.
+    /// Warps every known pixel into an image of the same camera and sorts it into lists per nearest
+    /// pixel there.
     #[must_use]
     pub fn warped(&self, target_from_source: &Se3) -> WarpedDepth {
         let (w, h) = (self.host.width(), self.host.height());
@@ -153,8 +155,8 @@ impl WarpedDepth {
     }
 }
 
-/// Where `ray` (rotated, z = 1 before) at inverse depth `idepth` is seen; `var` is the factor on the
-/// variance.
+/// Where `ray` (rotated, z = 1 before) at inverse depth `idepth` is seen; `var` is the factor on
+/// the variance.
 fn warp(ray: &Vec3, translation: &Vec3, idepth: f64, camera: &HostFrame) -> Option<Warped> {
     let point = ray + translation * idepth;
     let ratio = point.z;
@@ -226,8 +228,8 @@ fn merge((x, y): (usize, usize), nearby: &[Warped], config: &DepthConfig) -> Opt
     })
 }
 
-/// A hypothesis of the surface that is visible at the pixel: of two surfaces the nearer one, provided
-/// that it has its share of the support; otherwise the better supported one.
+/// A hypothesis of the surface that is visible at the pixel: of two surfaces the nearer one,
+/// provided that it has its share of the support; otherwise the better supported one.
 fn visible_seed<'a>(
     nearby: &'a [Warped],
     (x, y): (f32, f32),

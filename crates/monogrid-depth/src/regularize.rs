@@ -66,9 +66,9 @@ impl DepthMap {
         self.remove_unsupported(config);
     }
 
-    /// Candidate pixels of some rows without depth, but with confirmed neighbours, with the neighbours' depth, a
-    /// variance that covers their spread and no confirmation. Reads only, so that rows can be searched side by
-    /// side; [`DepthMap::fill`] stores what was found.
+    /// Candidate pixels of some rows without depth, but with confirmed neighbours, with the
+    /// neighbours' depth, a variance that covers their spread and no confirmation. Reads only, so
+    /// that rows can be searched side by side; [`DepthMap::fill`] stores what was found.
     #[must_use]
     pub fn holes(&self, rows: std::ops::Range<usize>, config: &DepthConfig) -> Vec<FoundDepth> {
         let rows = rows.start..rows.end.min(self.host.height());
@@ -141,8 +141,8 @@ impl DepthMap {
 }
 
 impl DepthMap {
-    /// Limits the search for new pixels to `config.near_search_factor` times the 98th percentile of what is known: a
-    /// range that the scene does not have only adds false matches and time.
+    /// Limits the search for new pixels to `config.near_search_factor` times the 98th percentile of
+    /// what is known: a range that the scene does not have only adds false matches and time.
     pub(crate) fn limit_search(&mut self, config: &DepthConfig) {
         /// Bins per unit of inverse depth, and their number.
         const BINS_PER_UNIT: f32 = 8.0;
@@ -203,11 +203,12 @@ impl RegularizeBand<'_> {
 }
 
 for_lanes! {
-    /// [SDVO13] section 2.4: mean over the consistent neighbours, weighted by
-    /// `1 / (V + (slope distance)²)`; `None` when too few neighbours are valid. The validities of the band and the
+    /// [SDVO13] section 2.4: mean over the consistent neighbours, weighted by `1 / (V + (slope
+    /// distance)²)`; `None` when too few neighbours are valid. The validities of the band and the
     /// rows beside it begin at the index `first` of the map.
     ///
-    /// For each pixel one call: in one function with the loop over them the vectors do not stay in registers.
+    /// For each pixel one call: in one function with the loop over them the vectors do not stay in
+    /// registers.
     fn smoothed = smoothed_with, (
         band: &RegularizeBand<'_>,
         pixel: (usize, usize),
@@ -258,7 +259,8 @@ fn smoothed_with<L: Lanes>(
     Some((idepth + sum_d.sum() / weight, smooth_var))
 }
 
-/// Columns are processed together, five neighbours and three idle ones, so that the loop has no branches.
+/// Columns are processed together, five neighbours and three idle ones, so that the loop has no
+/// branches.
 const COLUMN_USED: [f32; LANES] = [1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0];
 const COLUMN_SQ: [f32; LANES] = [4.0, 1.0, 0.0, 1.0, 4.0, 0.0, 0.0, 0.0];
 const ROW_SQ: [f32; 2 * RADIUS + 1] = [4.0, 1.0, 0.0, 1.0, 4.0];
@@ -395,7 +397,8 @@ mod tests {
         }
     }
 
-    /// Mean and number of confirmed neighbours, neighbour by neighbour, when they are confirmed enough.
+    /// Mean and number of confirmed neighbours, neighbour by neighbour, when they are confirmed
+    /// enough.
     fn plain_hole(map: &DepthMap, index: usize, config: &DepthConfig) -> Option<f32> {
         let (mut support, mut weights, mut sum) = (0u32, 0.0, 0.0);
         for j in (0..25).map(|k| index + 64 * (k / 5) + k % 5 - 2 * 64 - 2) {

@@ -3,8 +3,9 @@
 //!
 //! `cargo run --release -p monogrid-slam --example accuracy -- FOLDER [key=value …]`
 //!
-//! Keys: `seed=I`, `start=N`, `every=N` (a slower camera), `max=N` (frames), `profile=thesis`, `init=depth` (metric start from the
-//! sequence's depth image), `truth_every=N` (evaluate the depth of every n-th keyframe), `verbose=1`.
+//! Keys: `seed=I`, `start=N`, `every=N` (a slower camera), `max=N` (frames), `profile=thesis`,
+//! `init=depth` (metric start from the sequence's depth image), `truth_every=N` (evaluate the depth
+//! of every n-th keyframe), `verbose=1`.
 #![allow(
     clippy::print_stdout,
     clippy::unwrap_used,
@@ -140,8 +141,9 @@ fn print_errors(name: &str, poses: &[StampedPose], truth: &[StampedPose]) -> Opt
     Some(errors.scale)
 }
 
-/// Error of every edge of the graph: rotation (degrees), direction of the translation (degrees) and scale
-/// (where both keyframes have true depth); then those of the final poses; then the edge's own sigmas.
+/// Error of every edge of the graph: rotation (degrees), direction of the translation (degrees) and
+/// scale (where both keyframes have true depth); then those of the final poses; then the edge's own
+/// sigmas.
 fn edge_report(slam: &Slam, truth: &[StampedPose], sequence: &Sequence) {
     let graph = slam.pose_graph();
     let keyframes = slam.keyframes();
@@ -268,7 +270,8 @@ fn print_keyframe(keyframe: &Keyframe, compared: &[Compared]) {
     );
 }
 
-/// How large the errors of all keyframes are beside sigmas that are `factor` times larger, with a relative part.
+/// How large the errors of all keyframes are beside sigmas that are `factor` times larger, with a
+/// relative part.
 fn print_sigmas(pooled: &[Compared]) {
     for factor in [1.0, 1.3, 1.6, 2.0] {
         for relative in [0.0, 0.01, 0.02] {

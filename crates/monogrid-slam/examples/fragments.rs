@@ -1,15 +1,19 @@
-//! Fragments of the map: the video jumps to a part that was never seen, and comes back to the known part.
+//! Fragments of the map: the video jumps to a part that was never seen, and comes back to the known
+//! part.
 //!
-//! `cargo run --release -p monogrid-slam --example fragments -- FOLDER parts=0-300,900-200 [key=value …]`
+//! `cargo run --release -p monogrid-slam --example fragments -- FOLDER parts=0-300,900-200
+//! [key=value …]`
 //!
-//! `parts` are played one after the other as one video; a part `900-200` is played backwards; `covered=30`
-//! puts so many frames of a covered lens between two parts, `step=2` leaves out every second frame. A part may
-//! come from another sequence (`0-300,OTHER:0-400` with `OTHER=FOLDER2`): such a part must never be joined.
-//! `seed=I`, and settings as `fragments.min_lost_secs=2.0`; `maps=1` prints every frame that changes its state.
+//! `parts` are played one after the other as one video; a part `900-200` is played backwards;
+//! `covered=30` puts so many frames of a covered lens between two parts, `step=2` leaves out every
+//! second frame. A part may come from another sequence (`0-300,OTHER:0-400` with `OTHER=FOLDER2`):
+//! such a part must never be joined. `seed=I`, and settings as `fragments.min_lost_secs=2.0`;
+//! `maps=1` prints every frame that changes its state.
 //!
-//! Printed are the fragments, and errors with the similarity that aligns the first part (rotations: the mean of
-//! all differences in it, since positions determine that less well): of poses as they were
-//! reported after the first part (what a robot would have believed), and of all final poses after it.
+//! Printed are the fragments, and errors with the similarity that aligns the first part (rotations:
+//! the mean of all differences in it, since positions determine that less well): of poses as they
+//! were reported after the first part (what a robot would have believed), and of all final poses
+//! after it.
 #![allow(
     clippy::print_stdout,
     clippy::unwrap_used,
@@ -127,8 +131,8 @@ fn play(
     (reported, counts)
 }
 
-/// What brings the estimated poses of the first part, beside the true ones, to these: positions by the similarity, and
-/// rotations by the mean of all differences.
+/// What brings the estimated poses of the first part, beside the true ones, to these: positions by
+/// the similarity, and rotations by the mean of all differences.
 fn fitted(first_part: &[(Se3, Se3)]) -> (Sim3, Rotation) {
     let positions = first_part.iter();
     let (estimate, true_positions): (Vec<Vec3>, Vec<Vec3>) = positions

@@ -1,10 +1,13 @@
 //! How much of the final map the map has that is read while it grows.
 //!
-//! `cargo run --release -p monogrid-slam --example live_depth -- FOLDER OUT [res=M] [frames=N] [mapping settings=VALUE …]`
+//! `cargo run --release -p monogrid-slam --example live_depth -- FOLDER OUT [res=M] [frames=N]
+//! [mapping settings=VALUE …]`
 //!
-//! Tracks the images of FOLDER, with the true depth of the first one where there is some, and gives the maps all the time that they
-//! want after each frame, so that nothing depends on the computer. Writes OUT/live.ot, as it is read after the last frame, and OUT/final.ot,
-//! which `monogrid evaluate map OUT/live.ot OUT/final.ot` compares, in the frame of the true poses where there are some, and says what the maps cost (CPU time of one thread).
+//! Tracks the images of FOLDER, with the true depth of the first one where there is some, and gives
+//! the maps all the time that they want after each frame, so that nothing depends on the computer.
+//! Writes OUT/live.ot, as it is read after the last frame, and OUT/final.ot, which `monogrid
+//! evaluate map OUT/live.ot OUT/final.ot` compares, in the frame of the true poses where there are
+//! some, and says what the maps cost (CPU time of one thread).
 #![allow(
     clippy::print_stdout,
     clippy::unwrap_used,

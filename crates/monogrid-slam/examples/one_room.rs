@@ -2,10 +2,10 @@
 //!
 //! `cargo run --release -p monogrid-slam --example one_room -- FOLDER [key=value …]`
 //!
-//! Keys: `frames=N` (to play in all, default 18000), `max=N` (use the first N images), `shift=N` (each way back
-//! and forth begins N images later: not the same views), `size=WxH`, and settings as `keyframes.min_mapped_frames=5`.
-//! One line per way: keyframes, edges of the graph, points, memory, time per frame, keyframes used again, and the
-//! error of the frames so far.
+//! Keys: `frames=N` (to play in all, default 18000), `max=N` (use the first N images), `shift=N`
+//! (each way back and forth begins N images later: not the same views), `size=WxH`, and settings as
+//! `keyframes.min_mapped_frames=5`. One line per way: keyframes, edges of the graph, points,
+//! memory, time per frame, keyframes used again, and the error of the frames so far.
 #![allow(
     clippy::print_stdout,
     clippy::unwrap_used,

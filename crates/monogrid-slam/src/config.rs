@@ -195,8 +195,9 @@ pub struct KeyframeConfig {
     pub refinement: RefinementConfig,
 }
 
-/// Which tracked frames refine the depth of the keyframe in use: one that is taken from almost the same place as the one before it sees
-/// the same disparities with the same patch of the keyframe, and costs as much as any other.
+/// Which tracked frames refine the depth of the keyframe in use: one that is taken from almost the
+/// same place as the one before it sees the same disparities with the same patch of the keyframe,
+/// and costs as much as any other.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RefinementConfig {
     /// Frames in a row that are passed over at most; 0: all frames refine it.

@@ -1,17 +1,20 @@
 //! Fragments of the map: what a camera sees that was lost and does not recognise the place.
 //!
-//! The first map is fragment 0, the *main map*. A later fragment has a world of its own (the camera of its
-//! first keyframe, of unknown place and scale) until its keyframes are recognised in another one.
+//! The first map is fragment 0, the *main map*. A later fragment has a world of its own (the camera
+//! of its first keyframe, of unknown place and scale) until its keyframes are recognised in another
+//! one.
 //!
-//! A fragment never moves another one: what compares poses (sparse layer, known views, graph) stays within one. Frames in a fragment
-//! that is apart have no pose in the map, odometry waits there as in a loss, and trajectory and maps hold the main map only. While
-//! the camera runs that is the first one, so that what others were told keeps its frame; in the end a fragment that is much
+//! A fragment never moves another one: what compares poses (sparse layer, known views, graph) stays
+//! within one. Frames in a fragment that is apart have no pose in the map, odometry waits there as
+//! in a loss, and trajectory and maps hold the main map only. While the camera runs that is the
+//! first one, so that what others were told keeps its frame; in the end a fragment that is much
 //! larger becomes the main map. What stays apart is kept, and a later session can still join it.
 
 use crate::KeyframeId;
 use serde::Serialize;
 
-/// Identity of a fragment; never reused. 0 is the main map, with which the largest fragment can change places at the end.
+/// Identity of a fragment; never reused. 0 is the main map, with which the largest fragment can
+/// change places at the end.
 pub type FragmentId = u32;
 
 /// The fragment that the first keyframe belongs to, and all that are joined to it.
@@ -149,8 +152,8 @@ pub struct Join {
 
 /// A loss after which the map went on: the start that ended it shows frames from before.
 ///
-/// What lies behind is known less well relative to what lies before than keyframes that follow each other, until points
-/// or places are seen from both.
+/// What lies behind is known less well relative to what lies before than keyframes that follow each
+/// other, until points or places are seen from both.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Bridge {
     /// The keyframe that was in use before the loss.

@@ -1,14 +1,14 @@
 //! Direct semi-dense monocular SLAM that feeds an occupancy map.
 //!
-//! Flow: [`Slam::process_frame`] takes one working image after the other → direct tracking against the
-//! current keyframe → the keyframe's semi-dense depth is refined, or the frame becomes the next
-//! keyframe → a sparse layer of points seen from several keyframes is adjusted, which holds pose and
-//! scale → finished [`Keyframe`]s and a [`PoseSnapshot`] go to [`mapping`].
+//! Flow: [`Slam::process_frame`] takes one working image after the other → direct tracking against
+//! the current keyframe → the keyframe's semi-dense depth is refined, or the frame becomes the next
+//! keyframe → a sparse layer of points seen from several keyframes is adjusted, which holds pose
+//! and scale → finished [`Keyframe`]s and a [`PoseSnapshot`] go to [`mapping`].
 //!
-//! Conventions: the world is the first keyframe's camera frame. A keyframe has its own unit of length
-//! (median inverse depth about 1); `world_from_keyframe.scale` is that unit in world units.
-//! Everything is synchronous and deterministic: the same frames, configuration and seed give the same
-//! bits for any number of threads.
+//! Conventions: the world is the first keyframe's camera frame. A keyframe has its own unit of
+//! length (median inverse depth about 1); `world_from_keyframe.scale` is that unit in world units.
+//! Everything is synchronous and deterministic: the same frames, configuration and seed give the
+//! same bits for any number of threads.
 #![deny(missing_docs)]
 
 use monogrid_geometry::median;

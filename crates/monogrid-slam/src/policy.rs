@@ -49,8 +49,9 @@ pub(crate) enum Demand {
     ConvincingAfterLoss,
 }
 
-/// Points that agree leave no doubt. Right after a loss the camera is near where it was expected, and a pose
-/// there needs no more than that of any other frame; a camera that moves on has no second chance.
+/// Points that agree leave no doubt. Right after a loss the camera is near where it was expected,
+/// and a pose there needs no more than that of any other frame; a camera that moves on has no
+/// second chance.
 pub(crate) fn demand(tracked: &Tracked, lost_in_a_row: usize) -> Demand {
     let is_near = lost_in_a_row <= RETURN_NEAR_FRAMES && !tracked.is_surprising;
     if tracked.support != Support::None {
@@ -69,12 +70,14 @@ pub(crate) fn demand(tracked: &Tracked, lost_in_a_row: usize) -> Demand {
 pub(crate) struct Hold {
     /// Root mean square residual, grey levels.
     pub residual_rms: f64,
-    /// Largest standard deviation of the pose, median depths or rad; infinite where some motion leaves the picture as it is.
+    /// Largest standard deviation of the pose, median depths or rad; infinite where some motion
+    /// leaves the picture as it is.
     pub sigma: f64,
 }
 
-/// Why the pose of a frame is to be doubted that passed all other tests: it agrees so much worse with its keyframe than is usual, or hangs
-/// on so much less. Before it is known what is usual, none is.
+/// Why the pose of a frame is to be doubted that passed all other tests: it agrees so much worse
+/// with its keyframe than is usual, or hangs on so much less. Before it is known what is usual,
+/// none is.
 pub(crate) fn doubt_about(
     frame: &Hold,
     usual_residual_rms: Option<f64>,
@@ -90,14 +93,16 @@ pub(crate) fn doubt_about(
     }
 }
 
-/// Whether a few points that agree are enough to let a pose by alignment stand; else all points are asked. What is weak
-/// or unexpected may be another place that looks alike there.
+/// Whether a few points that agree are enough to let a pose by alignment stand; else all points are
+/// asked. What is weak or unexpected may be another place that looks alike there.
 pub(crate) const fn may_be_confirmed(state: TrackingState, is_surprising: bool) -> bool {
     matches!(state, TrackingState::Good) && !is_surprising
 }
 
-/// How far a pose by points is believed, of which the pixels say so much. Where they disagree altogether it is believed, but the frame says nothing
-/// about the depth of the keyframe; unless the pose is also far from where the motion leads: points of another place agree among themselves.
+/// How far a pose by points is believed, of which the pixels say so much. Where they disagree
+/// altogether it is believed, but the frame says nothing about the depth of the keyframe; unless
+/// the pose is also far from where the motion leads: points of another place agree among
+/// themselves.
 pub(crate) const fn state_at_points(by_pixels: TrackingState, is_far: bool) -> TrackingState {
     match by_pixels {
         TrackingState::Lost if is_far => TrackingState::Lost,
@@ -107,8 +112,8 @@ pub(crate) const fn state_at_points(by_pixels: TrackingState, is_far: bool) -> T
     }
 }
 
-/// Whether points decide where a frame is: enough of them agree with one pose, and they are the larger part of
-/// those that were found.
+/// Whether points decide where a frame is: enough of them agree with one pose, and they are the
+/// larger part of those that were found.
 pub(crate) fn do_points_decide(num_inliers: usize, num_found: usize) -> bool {
     num_inliers >= MIN_POINT_INLIERS
         && num_inliers as f64 >= MIN_POINT_INLIER_SHARE * num_found as f64
@@ -125,8 +130,8 @@ pub(crate) struct BridgeEvidence {
     pub turn_rms: f64,
 }
 
-/// Whether the map goes on with a start after a loss: enough frames agree about where it is. Frames of another place agree
-/// with nothing.
+/// Whether the map goes on with a start after a loss: enough frames agree about where it is. Frames
+/// of another place agree with nothing.
 pub(crate) fn is_bridge(evidence: &BridgeEvidence) -> bool {
     // NaN is no bridge
     evidence.num_frames >= MIN_BRIDGE_FRAMES
@@ -153,8 +158,9 @@ pub(crate) fn is_placed(evidence: &PlaceEvidence) -> bool {
         && evidence.position_sigma_m <= share.max(JOIN_POSITION_SIGMA_M)
 }
 
-/// Which fragment is the map in the end, if not the main map: the one with the most frames (the oldest of equal ones), where it has many
-/// more. `frames` are those of the main map, `apart` the fragments that are not joined, with theirs.
+/// Which fragment is the map in the end, if not the main map: the one with the most frames (the
+/// oldest of equal ones), where it has many more. `frames` are those of the main map, `apart` the
+/// fragments that are not joined, with theirs.
 pub(crate) fn larger_map(
     frames: usize,
     apart: impl Iterator<Item = (FragmentId, usize)>,
@@ -182,8 +188,8 @@ pub(crate) struct KeyframeEvidence {
     pub num_keyframes: usize,
 }
 
-/// How far a frame is from a keyframe: 1 where a new keyframe is needed. `[ECCV14]` weighted combination of
-/// distance, in units of the mean depth, and lost overlap.
+/// How far a frame is from a keyframe: 1 where a new keyframe is needed. `[ECCV14]` weighted
+/// combination of distance, in units of the mean depth, and lost overlap.
 pub(crate) fn keyframe_score(relative_distance: f64, usage: f64, config: &KeyframeConfig) -> f64 {
     let distance = relative_distance * config.distance_weight;
     let lost = (1.0 - usage) * config.usage_weight;
@@ -200,7 +206,8 @@ pub(crate) fn aligned_score(alignment: &Alignment, config: &KeyframeConfig) -> f
 /// The score against a threshold that grows over the first keyframes of a random start.
 pub(crate) fn is_new_keyframe(evidence: &KeyframeEvidence, config: &KeyframeConfig) -> bool {
     if evidence.num_mapped < config.min_mapped_frames {
-        // A frame that has lost most of the keyframe cannot wait, nor one that its depth does not explain.
+        // A frame that has lost most of the keyframe cannot wait, nor one that its depth does not
+        // explain.
         return evidence.usage < URGENT_USAGE
             || evidence.good_of_visible < config.urgent_good_of_visible;
     }
@@ -215,12 +222,14 @@ pub(crate) fn is_new_keyframe(evidence: &KeyframeEvidence, config: &KeyframeConf
         || keyframe_score(evidence.relative_distance, evidence.usage, config) > ramp
 }
 
-/// Frames in a row that refine no depth because the next one waits: a computer that is always late makes a map all the same.
+/// Frames in a row that refine no depth because the next one waits: a computer that is always late
+/// makes a map all the same.
 const MAX_HURRIED: usize = 6;
 
-/// Whether a tracked frame refines the depth of the keyframe in use. Before it were `num_mapped` frames that were good enough
-/// for it, `num_passed` of them after the last that refined it, which is at this distance in units of the keyframe's mean depth;
-/// `is_hurried` where the next frame waits already.
+/// Whether a tracked frame refines the depth of the keyframe in use. Before it were `num_mapped`
+/// frames that were good enough for it, `num_passed` of them after the last that refined it, which
+/// is at this distance in units of the keyframe's mean depth; `is_hurried` where the next frame
+/// waits already.
 pub(crate) fn is_refining(
     (num_mapped, num_passed): (usize, usize),
     relative_distance: f64,

@@ -1,4 +1,5 @@
-//! The whole system on a rendered room: accuracy, determinism, starts, and input that is not a video.
+//! The whole system on a rendered room: accuracy, determinism, starts, and input that is not a
+//! video.
 #![allow(clippy::too_many_lines, reason = "a test tells its story in one place")]
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps")]
 

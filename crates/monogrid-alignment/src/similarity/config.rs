@@ -41,8 +41,8 @@ impl Default for SimilarityConfig {
 }
 
 impl SimilarityConfig {
-    /// LSD-SLAM: joint Huber weights with a threshold of 3, and a pair is believed when both directions
-    /// agree, within wide limits.
+    /// LSD-SLAM: joint Huber weights with a threshold of 3, and a pair is believed when both
+    /// directions agree, within wide limits.
     #[must_use]
     pub fn thesis() -> Self {
         Self {

@@ -45,8 +45,8 @@ pub enum Disagreement {
     Reciprocal(f64),
 }
 
-/// Aligns a and b in both directions, coarse to fine with a check after the coarse levels and at the
-/// end.
+/// Aligns a and b in both directions, coarse to fine with a check after the coarse levels and at
+/// the end.
 ///
 /// # Errors
 /// Why the pair is refused.
@@ -104,8 +104,8 @@ fn check(
     Ok(())
 }
 
-/// `e = d' (S_ab + Ad S_ba Ad')^-1 d` with `d = log(b_from_a a_from_b)` (`[ECCV14]` equation 20), and the
-/// mean of both weighted with their information.
+/// `e = d' (S_ab + Ad S_ba Ad')^-1 d` with `d = log(b_from_a a_from_b)` (`[ECCV14]` equation 20),
+/// and the mean of both weighted with their information.
 ///
 /// The two directions see the same images: their information is averaged, not added.
 fn fuse(

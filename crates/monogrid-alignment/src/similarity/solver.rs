@@ -24,8 +24,8 @@ const PIXELS_PER_MEASUREMENT: f64 = 8.0;
 pub struct SimilarityAlignment {
     /// The best state found.
     pub state: SimilarityState,
-    /// Information of a left update `[v, w, s]` of `b_from_a`, in the units of b, for the configured
-    /// number of pixels per independent measurement; `None` when the system is singular.
+    /// Information of a left update `[v, w, s]` of `b_from_a`, in the units of b, for the
+    /// configured number of pixels per independent measurement; `None` when the system is singular.
     pub information: Option<Mat7>,
     /// Points that project into b, of all points of the finest level.
     pub visible_share: f32,
@@ -44,7 +44,8 @@ const MAX_STEP: f64 = 1.0;
 /// Largest damping after which a level is given up.
 const MAX_LAMBDA: f64 = 1e6;
 
-/// Aligns keyframe `a` to keyframe `b` from `initial`, over the levels between `coarsest` and `finest`.
+/// Aligns keyframe `a` to keyframe `b` from `initial`, over the levels between `coarsest` and
+/// `finest`.
 #[must_use]
 pub fn align_similarity(
     a: &KeyframeView,
@@ -73,8 +74,9 @@ pub fn align_similarity(
     }
 }
 
-/// The given gain and bias, or those that give the visible points of `a` the mean and contrast of what they
-/// meet in `b`, whichever cost less: brightness that was handed on over many keyframes drifts as poses do.
+/// The given gain and bias, or those that give the visible points of `a` the mean and contrast of
+/// what they meet in `b`, whichever cost less: brightness that was handed on over many keyframes
+/// drifts as poses do.
 fn with_plausible_brightness(
     a: &KeyframeView,
     b: &KeyframeView,

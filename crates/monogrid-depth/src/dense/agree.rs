@@ -6,8 +6,8 @@ use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 /// Relative difference of two depths of one surface.
 const TOLERANCE: f64 = 0.02;
 
-/// Pairs of depths that differ by less than this share tell how well two keyframes agree: beyond, one of them is
-/// wrong altogether.
+/// Pairs of depths that differ by less than this share tell how well two keyframes agree: beyond,
+/// one of them is wrong altogether.
 const COMPARABLE: f32 = 0.1;
 /// Least relative standard deviation that all pixels of a keyframe share.
 const MIN_SHARED_SIGMA: f32 = 0.003;
@@ -37,10 +37,11 @@ struct Opinions {
 }
 
 impl DenseDepth {
-    /// The depth of the pixels that at least `config.min_agreeing` witnesses confirm to within 2 % (one
-    /// less where they agree closely) and are not outvoted by others, with the variance of the own costs, of the disagreement at the pixel, and of the disagreement that
-    /// all pixels share. It is not the mean with that of the witnesses: a mean agrees with what it is made of, and how far keyframes
-    /// disagree is what tells the uncertainty of the map.
+    /// The depth of the pixels that at least `config.min_agreeing` witnesses confirm to within 2 %
+    /// (one less where they agree closely) and are not outvoted by others, with the variance of the
+    /// own costs, of the disagreement at the pixel, and of the disagreement that all pixels share.
+    /// It is not the mean with that of the witnesses: a mean agrees with what it is made of, and
+    /// how far keyframes disagree is what tells the uncertainty of the map.
     ///
     /// `camera` is that of the full image.
     #[must_use]
@@ -75,8 +76,9 @@ impl DenseDepth {
 }
 
 impl Opinions {
-    /// Whether enough witnesses agree and they are not outvoted: what sees through the point counts as one, what sees something before it as a
-    /// half. One witness less will do if none sees through the point and the others agree twice as closely.
+    /// Whether enough witnesses agree and they are not outvoted: what sees through the point counts
+    /// as one, what sees something before it as a half. One witness less will do if none sees
+    /// through the point and the others agree twice as closely.
     fn is_held(&self, config: &DenseConfig) -> bool {
         let tolerance = 0.5 * TOLERANCE as f32;
         let is_close = self.squares <= self.agreeing as f32 * tolerance * tolerance;
@@ -119,7 +121,8 @@ fn heard(
     opinions
 }
 
-/// The inverse depth of a witness where it sees a point over that of the point, less 1; `None` where it has none.
+/// The inverse depth of a witness where it sees a point over that of the point, less 1; `None`
+/// where it has none.
 fn difference(point: &Vec3, witness: &Witness, camera: &Pinhole) -> Option<f32> {
     let seen = witness.witness_from_keyframe * *point;
     if seen.z <= 1e-9 {
@@ -145,7 +148,8 @@ impl Differences {
         }
     }
 
-    /// Relative standard deviation of one keyframe: of the difference, which 68 % are below, each has half the variance.
+    /// Relative standard deviation of one keyframe: of the difference, which 68 % are below, each
+    /// has half the variance.
     fn sigma(&self) -> f32 {
         let all: u32 = self.0.iter().sum();
         let mut below = 0;

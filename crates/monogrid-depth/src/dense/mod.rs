@@ -1,10 +1,12 @@
-//! Depth of all pixels of a finished keyframe, textured or not, from the keyframes around it at the final poses.
+//! Depth of all pixels of a finished keyframe, textured or not, from the keyframes around it at the
+//! final poses.
 //!
-//! A plane parallel to the image is swept through the scene at half the resolution; where it touches a surface, the
-//! sources look alike when they are projected onto it ([`warp`], [`sweep`]). Surfaces are smooth, so that the costs of a
-//! pixel and those along eight directions are added ([`aggregate`]). The best plane of a pixel and the costs of its
-//! neighbours give the inverse depth, how sharp they are its variance ([`winner`]). What is left is believed where
-//! the depth of other keyframes confirms it ([`DenseDepth::agreed`]).
+//! A plane parallel to the image is swept through the scene at half the resolution; where it
+//! touches a surface, the sources look alike when they are projected onto it ([`warp`], [`sweep`]).
+//! Surfaces are smooth, so that the costs of a pixel and those along eight directions are added
+//! ([`aggregate`]). The best plane of a pixel and the costs of its neighbours give the inverse
+//! depth, how sharp they are its variance ([`winner`]). What is left is believed where the depth of
+//! other keyframes confirms it ([`DenseDepth::agreed`]).
 
 mod aggregate;
 mod agree;
@@ -78,8 +80,8 @@ impl DenseDepth {
     }
 }
 
-/// Depth of all pixels where the sources say which; `None` without a source, or where fewer than a hundred depths
-/// are known that the planes are placed around.
+/// Depth of all pixels where the sources say which; `None` without a source, or where fewer than a
+/// hundred depths are known that the planes are placed around.
 ///
 /// `seeds` are known depths in units of the keyframe; they say where planes are, and nothing else.
 #[must_use]

@@ -27,8 +27,8 @@ pub(super) struct CostVolume {
 }
 
 impl CostVolume {
-    /// One less the normalised correlation of windows of the keyframe with those of the sources at half their size, the mean of the
-    /// two best: in others the surface may be covered.
+    /// One less the normalised correlation of windows of the keyframe with those of the sources at
+    /// half their size, the mean of the two best: in others the surface may be covered.
     pub fn new(image: &Image<u8>, sources: &[Source], idepths: Vec<f32>) -> Self {
         let image = sums_of_four(image);
         let (width, height) = (image.width(), image.height());
@@ -87,8 +87,8 @@ fn by_pixel(costs: &mut [u8], width: usize, planes: usize) {
     }
 }
 
-/// The keyframe and its windows, in rows that are a multiple of the lanes long. Grey levels are in quarters, so that all sums are
-/// whole numbers and exact.
+/// The keyframe and its windows, in rows that are a multiple of the lanes long. Grey levels are in
+/// quarters, so that all sums are whole numbers and exact.
 struct Windows {
     /// Length of the rows.
     row: usize,
@@ -182,7 +182,8 @@ impl Strip {
 }
 
 for_lanes! {
-    /// Takes the next row, which was warped; the sums of the columns are then those of it and the four before.
+    /// Takes the next row, which was warped; the sums of the columns are then those of it and the
+    /// four before.
     fn take_row = take_row_with, (strip: &mut Strip, y: usize, windows: &Windows);
     /// Puts the costs of the windows around a row among the two best of each.
     fn compare = compare_with, (
@@ -251,8 +252,8 @@ fn compare_with<L: Lanes>(
     }
 }
 
-/// Eight values from a place on, which need not be a multiple of eight; the others where so many do not follow, which is nowhere in rows
-/// as long as those of a [`Strip`].
+/// Eight values from a place on, which need not be a multiple of eight; the others where so many do
+/// not follow, which is nowhere in rows as long as those of a [`Strip`].
 #[inline(always)]
 fn lanes_from<'a, T>(values: &'a [T], x: usize, beyond: &'a [T; LANES]) -> &'a [T; LANES] {
     values[x..].first_chunk().unwrap_or(beyond)

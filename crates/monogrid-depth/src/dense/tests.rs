@@ -69,7 +69,8 @@ fn depth_at(eye_x: f64, has_square: bool) -> DenseDepth {
     dense_depth(&image, &CAMERA, &seeds(), &sources, &DenseConfig::default()).unwrap()
 }
 
-/// Share of the pixels of the half image that have a depth, and of these that are within 2 % of the truth.
+/// Share of the pixels of the half image that have a depth, and of these that are within 2 % of the
+/// truth.
 fn shares(depth: &DenseDepth, has_square: bool) -> (f64, f64) {
     let (mut known, mut right) = (0, 0);
     for y in 0..HEIGHT / 2 {

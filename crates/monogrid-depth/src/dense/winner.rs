@@ -13,7 +13,8 @@ const MIN_UNIQUENESS: f64 = 0.03;
 
 /// Planes beside the best one that are of the same minimum.
 const SAME_MINIMUM: usize = 2;
-/// A sum of costs that is this much higher is one standard deviation away: eight directions carry each cost.
+/// A sum of costs that is this much higher is one standard deviation away: eight directions carry
+/// each cost.
 const SIGMA_COST: f32 = 8.0;
 /// Limits of the standard deviation by the shape of the costs, in planes.
 const SIGMA_PLANES: [f32; 2] = [0.2, 2.0];
@@ -22,8 +23,8 @@ const PLAIN_GREY: f32 = 6.0;
 /// Depths that differ by more than this share are of two surfaces.
 const ONE_SURFACE: f32 = 0.04;
 
-/// The best plane of each pixel, between its neighbours; unknown where another plane is nearly as good, where the
-/// sources look alike in all of them, and beside the edges of objects.
+/// The best plane of each pixel, between its neighbours; unknown where another plane is nearly as
+/// good, where the sources look alike in all of them, and beside the edges of objects.
 pub(super) fn winners(volume: &CostVolume, image: &GrayImage, config: &DenseConfig) -> DenseDepth {
     let mut depth = DenseDepth::unknown(volume.width, volume.height);
     aggregate(volume, image, config, |pixel, sums| {
@@ -62,8 +63,8 @@ fn winner(volume: &CostVolume, pixel: usize, sums: &[i16]) -> Option<(f32, f32)>
     Some((volume.idepths[best] + offset * step, sigma * step))
 }
 
-/// Without plain pixels near others of another depth or of none: a window that holds the edge of an object has its
-/// depth, though the middle of the window shows what is behind.
+/// Without plain pixels near others of another depth or of none: a window that holds the edge of an
+/// object has its depth, though the middle of the window shows what is behind.
 fn without_rims(depth: DenseDepth, image: &GrayImage) -> DenseDepth {
     let (width, height) = (depth.idepth.width(), depth.idepth.height());
     let reach = RADIUS + 1;

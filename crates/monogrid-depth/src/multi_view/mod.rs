@@ -1,18 +1,19 @@
-//! Depth of a finished keyframe from all keyframes around it, at the poses that are known in the end.
+//! Depth of a finished keyframe from all keyframes around it, at the poses that are known in the
+//! end.
 //!
-//! The filter observes a keyframe while its pose and those of the frames are still estimates; what is
-//! wrong with them stays in the depth. When the poses are optimised, the images of the other keyframes say
-//! more. A pixel `x` of inverse depth `rho` is seen in a source at
+//! The filter observes a keyframe while its pose and those of the frames are still estimates; what
+//! is wrong with them stays in the depth. When the poses are optimised, the images of the other
+//! keyframes say more. A pixel `x` of inverse depth `rho` is seen in a source at
 //!
 //! ```text
 //! x'(rho) = pi(K R K^-1 (x, y, 1) + rho K t / s)          (s R, t: source from keyframe)
 //! ```
 //!
-//! Flow per pixel: the sources that see it with enough disparity along its gradient ([`sight`]) → the best
-//! normalised correlation of a patch over a short range of inverse depths ([`search`]) → Gauss-Newton on
-//! ln(rho) over all these sources, with gain and bias of each patch free, which also gives the variance.
-//! A pixel that its sources do not agree about has no new depth. Half of the pixels take the mean of their
-//! neighbours where these agree.
+//! Flow per pixel: the sources that see it with enough disparity along its gradient ([`sight`]) →
+//! the best normalised correlation of a patch over a short range of inverse depths ([`search`]) →
+//! Gauss-Newton on ln(rho) over all these sources, with gain and bias of each patch free, which
+//! also gives the variance. A pixel that its sources do not agree about has no new depth. Half of
+//! the pixels take the mean of their neighbours where these agree.
 
 mod misfit;
 mod search;
@@ -36,8 +37,8 @@ pub struct SourceView<'a> {
 
 /// Settings of [`refine_depth`].
 ///
-/// A disparity is the way of the match in px along the gradient if the inverse depth changed by all of
-/// itself: at 50 px, 2 % are one pixel.
+/// A disparity is the way of the match in px along the gradient if the inverse depth changed by all
+/// of itself: at 50 px, 2 % are one pixel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MultiViewConfig {
     /// Whether every second pixel, as on a chess board, takes the mean of the refined ones around
@@ -107,8 +108,8 @@ impl Raster {
         Self { width, depths }
     }
 
-    /// The mean of two or more of the four neighbours, if all of them and the pixel itself agree within two
-    /// standard deviations. Neighbours share their errors: its variance is theirs.
+    /// The mean of two or more of the four neighbours, if all of them and the pixel itself agree
+    /// within two standard deviations. Neighbours share their errors: its variance is theirs.
     fn mean_around(&self, pixel: &PixelDepth) -> Option<PixelDepth> {
         let index = usize::from(pixel.y) * self.width + usize::from(pixel.x);
         let around = [

@@ -96,7 +96,8 @@ impl<'a> Search<'a> {
         Some(fused(pixel, idepth, variance * idepth * idepth))
     }
 
-    /// Finds the sources that see the pixel with the largest disparity; `None` if there are not two.
+    /// Finds the sources that see the pixel with the largest disparity; `None` if there are not
+    /// two.
     pub fn find_sights(&mut self, pixel: &PixelDepth) -> Option<()> {
         let direction = gradient_direction(self.image, pixel)?;
         let at = [f64::from(pixel.x), f64::from(pixel.y)];
@@ -118,8 +119,8 @@ impl<'a> Search<'a> {
         self.iterate(pixel.idepth.into(), reach, self.sights.len(), patch)
     }
 
-    /// The best correlation around the present depth, over the sources of the smallest disparity: the
-    /// inverse depth and the relative step of the search. `None` at the ends of the range.
+    /// The best correlation around the present depth, over the sources of the smallest disparity:
+    /// the inverse depth and the relative step of the search. `None` at the ends of the range.
     fn best_of_range(&self, pixel: &PixelDepth, patch: &Patch) -> Option<(f64, f64)> {
         let idepth = f64::from(pixel.idepth);
         let sigma = f64::from(pixel.idepth_var).sqrt() / idepth;
@@ -174,11 +175,12 @@ impl<'a> Search<'a> {
 }
 
 impl Normal {
-    /// Variance of ln(rho): what the residuals leave open, times how much more the sources disagree than
-    /// that explains (errors of their poses); never less than the former.
+    /// Variance of ln(rho): what the residuals leave open, times how much more the sources disagree
+    /// than that explains (errors of their poses); never less than the former.
     fn variance(&self, correlated_residuals: f64) -> f64 {
         let from_residuals = correlated_residuals / self.hessian;
-        // each source alone would move by -gradient / hessian; the weighted sum of squares around the mean
+        // each source alone would move by -gradient / hessian; the weighted sum of squares around
+        // the mean
         let scatter = self.gains - self.gradient * self.gradient / self.hessian;
         let freedom = self.used.saturating_sub(1).max(1) as f64;
         from_residuals * (scatter / (freedom * correlated_residuals)).max(1.0)
@@ -217,7 +219,8 @@ impl Patch {
     }
 }
 
-/// What was known before with what the sources say, or the latter alone where they contradict each other.
+/// What was known before with what the sources say, or the latter alone where they contradict each
+/// other.
 fn fused(before: &PixelDepth, idepth: f64, variance: f64) -> PixelDepth {
     let (prior, prior_variance) = (f64::from(before.idepth), f64::from(before.idepth_var));
     let gap_sq = (prior - idepth).powi(2);

@@ -28,8 +28,8 @@ pub(super) const PATTERN: [[i32; 2]; SAMPLES] = [
     [1, 1],
     [0, 2],
 ];
-/// Patches keep this distance from the borders of a source, px: twice the pattern (views that are 1.7 times as
-/// large), half a pixel for derivatives, and one for the interpolation.
+/// Patches keep this distance from the borders of a source, px: twice the pattern (views that are
+/// 1.7 times as large), half a pixel for derivatives, and one for the interpolation.
 const MARGIN_PX: f64 = 6.0;
 /// Sources that show a pixel smaller or larger than this are not compared.
 const SIZE: std::ops::RangeInclusive<f64> = 0.6..=1.7;

@@ -1,12 +1,16 @@
-//! What a path that a camera found, without scale, and the readings of an inertial sensor say together.
+//! What a path that a camera found, without scale, and the readings of an inertial sensor say
+//! together.
 //!
-//! Maximum a posteriori over orientation, velocity, position and biases of the sensor at every frame, the scale of the path
-//! and the direction of gravity: readings are preintegrated between frames (Forster et al. 2017), and every pose of the camera
-//! counts as a measurement. As in the initialisation of Campos, Montiel and Tardós 2020 poses are taken as given but for their scale; unlike
-//! there each has an error of its own, since an error of positions that explain accelerations makes the scale too small. How
-//! large these errors are is found from what is left of them.
+//! Maximum a posteriori over orientation, velocity, position and biases of the sensor at every
+//! frame, the scale of the path and the direction of gravity: readings are preintegrated between
+//! frames (Forster et al. 2017), and every pose of the camera counts as a measurement. As in the
+//! initialisation of Campos, Montiel and Tardós 2020 poses are taken as given but for their scale;
+//! unlike there each has an error of its own, since an error of positions that explain
+//! accelerations makes the scale too small. How large these errors are is found from what is left
+//! of them.
 //!
-//! A path may have parts, each with its own place and unit, with nothing seen between them: the readings say where they lie.
+//! A path may have parts, each with its own place and unit, with nothing seen between them: the
+//! readings say where they lie.
 
 mod band;
 mod begin;
@@ -52,7 +56,8 @@ impl Default for EstimateConfig {
 pub struct Observation {
     /// Time, ns.
     pub timestamp_ns: i64,
-    /// The part of the path that it belongs to, and `part_from_camera` in the unit of the part; `None` where nothing was seen.
+    /// The part of the path that it belongs to, and `part_from_camera` in the unit of the part;
+    /// `None` where nothing was seen.
     pub seen: Option<(usize, Se3)>,
 }
 
@@ -65,7 +70,8 @@ pub struct Fix {
     pub world_from_camera: Se3,
     /// Of the sensor, m/s.
     pub velocity: Vec3,
-    /// Standard deviation of its position relative to the path around it, m, in the direction where it is largest.
+    /// Standard deviation of its position relative to the path around it, m, in the direction where
+    /// it is largest.
     pub position_sigma_m: f64,
     /// Of its orientation, rad.
     pub rotation_sigma_rad: f64,
@@ -76,11 +82,13 @@ pub struct Fix {
 /// Where a part of the path lies.
 #[derive(Clone, Copy, Debug)]
 pub struct PartPlace {
-    /// From the part's coordinates to metres; the first part's has neither rotation nor translation.
+    /// From the part's coordinates to metres; the first part's has neither rotation nor
+    /// translation.
     pub metric_from_part: Sim3,
     /// Standard deviation of the logarithm of the scale.
     pub scale_sigma: f64,
-    /// Of the position of the part's origin in the first part, m, in the direction where it is largest; 0 for the first.
+    /// Of the position of the part's origin in the first part, m, in the direction where it is
+    /// largest; 0 for the first.
     pub position_sigma_m: f64,
     /// Of its orientation, rad.
     pub rotation_sigma_rad: f64,
@@ -138,8 +146,8 @@ pub enum NotDetermined {
 /// The estimate; `observations` are in the order of time.
 ///
 /// # Errors
-/// When the path is too short, or the readings do not explain it. A scale or a gravity that is less sure than was asked for is
-/// no error: see [`Estimate::is_scale_determined`].
+/// When the path is too short, or the readings do not explain it. A scale or a gravity that is less
+/// sure than was asked for is no error: see [`Estimate::is_scale_determined`].
 pub fn estimate(
     imu: &Imu,
     observations: &[Observation],

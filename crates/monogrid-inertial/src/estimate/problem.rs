@@ -1,4 +1,5 @@
-//! What is to be explained, what explains it, and the way from a first guess to the best explanation.
+//! What is to be explained, what explains it, and the way from a first guess to the best
+//! explanation.
 
 use super::band::{Block, Solved, System};
 use super::measurements::Sum;
@@ -14,7 +15,8 @@ pub(super) const TURN: usize = 0;
 pub(super) const VELOCITY: usize = 3;
 pub(super) const POSITION: usize = 6;
 pub(super) const BIAS: usize = 9;
-/// Global numbers: two of gravity, the scale of the first part, and rotation, translation and scale of each other.
+/// Global numbers: two of gravity, the scale of the first part, and rotation, translation and scale
+/// of each other.
 pub(super) const GRAVITY: usize = 0;
 const FIRST_SCALE: usize = 2;
 pub(super) const OTHER_PARTS: usize = 3;
@@ -258,7 +260,8 @@ impl Problem {
     }
 }
 
-/// The observations with the readings between each and the next; one that neither the camera nor the sensor knows is left out.
+/// The observations with the readings between each and the next; one that neither the camera nor
+/// the sensor knows is left out.
 fn connected(
     imu: &Imu,
     observations: Vec<Observation>,

@@ -30,7 +30,8 @@ impl Options {
         self.0.get(name).is_some_and(|found| found == value)
     }
 
-    /// `config` with the settings whose names have a dot, below their section: `sparse.enabled=false`.
+    /// `config` with the settings whose names have a dot, below their section:
+    /// `sparse.enabled=false`.
     pub fn applied_to<C>(&self, mut config: C, settings: Settings<C>, section: &str) -> C {
         let lines = self.0.iter().filter(|(key, _)| key.contains('.'));
         let lines: Vec<String> = lines.map(|(key, text)| format!("{key} = {text}")).collect();

@@ -46,7 +46,8 @@ pub struct PlaceRecognitionConfig {
     pub drift: DriftConfig,
 }
 
-/// How keyframes that may show the same place are chosen, before they are compared corner by corner.
+/// How keyframes that may show the same place are chosen, before they are compared corner by
+/// corner.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PlaceMethod {
@@ -57,9 +58,9 @@ pub enum PlaceMethod {
     FabMap,
 }
 
-/// Largest drift between two keyframes: a loop that contradicts the poses by more can be switched off by the
-/// others, one that contradicts them less cannot. A loop that contradicts them by less than drift is at least
-/// (`*_start`) tells nothing new and adds no edge.
+/// Largest drift between two keyframes: a loop that contradicts the poses by more can be switched
+/// off by the others, one that contradicts them less cannot. A loop that contradicts them by less
+/// than drift is at least (`*_start`) tells nothing new and adds no edge.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DriftConfig {
     /// Drift of the position at least, median depths.

@@ -47,8 +47,9 @@ impl Probes {
         Self { points, distances }
     }
 
-    /// Share of the points, at most, that a camera sees which is this far away. A point is seen if its distances
-    /// to both cameras differ by a limited ratio, and the cameras are no farther apart than the sum of the two.
+    /// Share of the points, at most, that a camera sees which is this far away. A point is seen if
+    /// its distances to both cameras differ by a limited ratio, and the cameras are no farther
+    /// apart than the sum of the two.
     fn seen_from_at_most(&self, distance: f64) -> f64 {
         const ROUNDING: f64 = 1.0 - 1e-9;
         let least = distance / (1.0 + MAX_DISTANCE_RATIO) * ROUNDING;

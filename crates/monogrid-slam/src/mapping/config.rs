@@ -36,8 +36,9 @@ pub enum MapQuality {
     /// of the surfaces and of the free space, for four times the work.
     #[serde(alias = "dense")]
     Default,
-    /// The same with finer planes and more keyframes beside each ([`MappingConfig::at_its_quality`]): still more of the surfaces, for twice the
-    /// work of `default`.
+    /// The same with finer planes and more keyframes beside each
+    /// ([`MappingConfig::at_its_quality`]): still more of the surfaces, for twice the work of
+    /// `default`.
     Best,
 }
 
@@ -323,8 +324,8 @@ impl Default for MappingConfig {
 }
 
 impl MappingConfig {
-    /// The thesis' rules: fixed L and k (the values it found best), its closed form, updates limited
-    /// only to P in [1e-6, 1 - 1e-6], every measurement mapped, no uncertainty of the pose.
+    /// The thesis' rules: fixed L and k (the values it found best), its closed form, updates
+    /// limited only to P in [1e-6, 1 - 1e-6], every measurement mapped, no uncertainty of the pose.
     #[must_use]
     pub fn thesis() -> Self {
         let certain = (1e-6f64 / (1.0 - 1e-6)).ln();
@@ -340,8 +341,8 @@ impl MappingConfig {
             updates_to_belief: [0, 0],
             clamp: [-2.0, 3.5],
             tail_log_odds: 0.02,
-            // The thesis names no limit; but points of a random start lie at any distance, and their free
-            // rays would fill the memory. The median depth is 1 there.
+            // The thesis names no limit; but points of a random start lie at any distance, and
+            // their free rays would fill the memory. The median depth is 1 there.
             max_range: 20.0,
             pose_sigma: 0.0,
             pose_sigma_deg: 0.0,
@@ -371,9 +372,11 @@ impl MappingConfig {
         }
     }
 
-    /// With what its quality asks for: `best` raises what its depth is compared with, where less is set; nothing else changes.
+    /// With what its quality asks for: `best` raises what its depth is compared with, where less is
+    /// set; nothing else changes.
     ///
-    /// In five recordings more of the surfaces was found by all of it together (docs/studies.md, *Quality best*); single parts took some away.
+    /// In five recordings more of the surfaces was found by all of it together (docs/studies.md,
+    /// *Quality best*); single parts took some away.
     #[must_use]
     pub fn at_its_quality(&self) -> Cow<'_, Self> {
         if self.quality != MapQuality::Best {

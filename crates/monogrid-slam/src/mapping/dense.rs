@@ -1,5 +1,5 @@
-//! Dense depth of the keyframes at the final poses: stereo with the keyframes that see the same from beside, then what
-//! these confirm of it, then one list of depths with those of the filter.
+//! Dense depth of the keyframes at the final poses: stereo with the keyframes that see the same
+//! from beside, then what these confirm of it, then one list of depths with those of the filter.
 
 use super::KeyframeCamera;
 use super::posed::{Neighbour, Scene};
@@ -24,7 +24,8 @@ const ANGLE_WIDTHS: [f64; 2] = [0.5, 1.25];
 /// Depths of the half image that differ by less than this share are interpolated.
 const ONE_SURFACE: f32 = 0.03;
 
-/// What of the dense depth of one keyframe that of its neighbours confirms; `depth` is that of each, as it was matched.
+/// What of the dense depth of one keyframe that of its neighbours confirms; `depth` is that of
+/// each, as it was matched.
 pub(super) fn confirmed(
     scene: &Scene,
     index: usize,
@@ -59,8 +60,8 @@ pub(super) fn stereo(scene: &Scene, index: usize, neighbours: &[Neighbour]) -> O
     )
 }
 
-/// The keyframes with an image that are most useful for the depth of another one, the best first: as many as match it or
-/// confirm it.
+/// The keyframes with an image that are most useful for the depth of another one, the best first:
+/// as many as match it or confirm it.
 pub(super) fn neighbours(scene: &Scene, index: usize) -> Vec<Neighbour> {
     let (config, camera) = (&scene.config.dense, scene.camera);
     let points = probes(&scene.keyframes[index].depth.get(), camera);
@@ -84,8 +85,9 @@ fn probes(pixels: &[DepthPixel], camera: &KeyframeCamera) -> Vec<Vec3> {
         .collect()
 }
 
-/// Mean over points of how well a neighbour measures their depth: 1 at the best angle between the lines of sight (under smaller ones depth
-/// is imprecise, under larger ones images differ), 0 where it does not see them.
+/// Mean over points of how well a neighbour measures their depth: 1 at the best angle between the
+/// lines of sight (under smaller ones depth is imprecise, under larger ones images differ), 0 where
+/// it does not see them.
 fn usefulness(points: &[Vec3], neighbour_from_keyframe: &Sim3, camera: &KeyframeCamera) -> f64 {
     let centre = neighbour_from_keyframe.inverse().translation;
     let of_point = |point: &Vec3| {
@@ -112,8 +114,8 @@ fn is_in_view(point: &Vec3, camera: &KeyframeCamera) -> bool {
         && at.y <= camera.height as f64 - 1.0 - BORDER_PX
 }
 
-/// The depth of a keyframe by its filter and by dense stereo, row-major: fused where they agree within two standard deviations,
-/// else the dense one, which other keyframes have confirmed.
+/// The depth of a keyframe by its filter and by dense stereo, row-major: fused where they agree
+/// within two standard deviations, else the dense one, which other keyframes have confirmed.
 pub(super) fn merged(
     filter: &[DepthPixel],
     dense: &DenseDepth,
@@ -147,7 +149,8 @@ pub(super) fn merged(
     depths.filter_map(pixel).collect()
 }
 
-/// Dense depth with that of the filter. Both come from the same images, so that the variance is the smaller one.
+/// Dense depth with that of the filter. Both come from the same images, so that the variance is the
+/// smaller one.
 fn fused(filter: Option<[f32; 2]>, idepth: f32, variance: f32) -> [f32; 2] {
     match filter {
         Some([before, before_variance])
@@ -161,8 +164,8 @@ fn fused(filter: Option<[f32; 2]>, idepth: f32, variance: f32) -> [f32; 2] {
     }
 }
 
-/// Inverse depth of a pixel of the full image: between the four nearest of the half image where these are of one surface, else
-/// that of the nearest.
+/// Inverse depth of a pixel of the full image: between the four nearest of the half image where
+/// these are of one surface, else that of the nearest.
 pub(super) fn at_full_size(half: &Image<f32>, x: usize, y: usize) -> Option<f32> {
     // the middle of a pixel of the half image lies between four of the full one
     let beside = |at: usize, size: usize| match at % 2 {

@@ -1,8 +1,9 @@
 //! One depth from those of all keyframes that see a point.
 //!
-//! Keyframes measure a surface again and again, each with errors of its own beside those that all of them share (poses, the images that
-//! they have in common). The weighted mean of the depths that agree has less of the former. What a pixel says of a point that other
-//! keyframes look at, and none of them confirms, is most often wrong, and left out.
+//! Keyframes measure a surface again and again, each with errors of its own beside those that all
+//! of them share (poses, the images that they have in common). The weighted mean of the depths that
+//! agree has less of the former. What a pixel says of a point that other keyframes look at, and
+//! none of them confirms, is most often wrong, and left out.
 
 use super::KeyframeCamera;
 use super::certainty::Certainty;
@@ -21,8 +22,8 @@ const AGREEING_SIGMAS: f64 = 3.0;
 /// Depths agree, too, that differ by this share of them.
 const AGREEING_SHARE: f64 = 0.01;
 
-/// The depths of a keyframe, each fused with those of other keyframes that agree, as certain as they are; as they are for one without a
-/// pose.
+/// The depths of a keyframe, each fused with those of other keyframes that agree, as certain as
+/// they are; as they are for one without a pose.
 pub(super) fn fused(scene: &Scene, index: usize, depths: Depths, certainty: Certainty) -> Depths {
     let Some(this) = &scene.views[index] else {
         return depths;
@@ -92,13 +93,15 @@ impl Mean {
         }
     }
 
-    /// The pixel with the mean of the depths that agree with it; `None` where others look and too few of them do.
+    /// The pixel with the mean of the depths that agree with it; `None` where others look and too
+    /// few of them do.
     fn result(&self) -> Option<Measurement> {
         if self.is_looked_at && usize::from(self.support) < MIN_SUPPORT {
             return None;
         }
         let idepth = self.pixel.idepth * self.sum_of_ratios / self.weights;
-        // that of a typical one: what all keyframes share, no mean takes away, and it is most of what remains
+        // that of a typical one: what all keyframes share, no mean takes away, and it is most of
+        // what remains
         let sigma = (f32::from(self.support) / self.weights).sqrt();
         Some(Measurement {
             idepth,
@@ -114,7 +117,8 @@ enum Answer {
     Nothing,
     /// It has another depth there.
     Other,
-    /// It has the same depth, but for this ratio of inverse depths, with this relative standard deviation.
+    /// It has the same depth, but for this ratio of inverse depths, with this relative standard
+    /// deviation.
     Same { ratio: f32, sigma: f32 },
 }
 
@@ -212,8 +216,8 @@ mod tests {
         height: 60,
     };
 
-    /// A wall 2 before the first of keyframes side by side, each with a unit of its own; `error` is that of the inverse depth of a pixel of
-    /// a keyframe, relative.
+    /// A wall 2 before the first of keyframes side by side, each with a unit of its own; `error` is
+    /// that of the inverse depth of a pixel of a keyframe, relative.
     fn wall(count: u16, error: impl Fn(u16, u16) -> f32) -> Vec<(Depths, Sim3)> {
         (0..count)
             .map(|keyframe| {

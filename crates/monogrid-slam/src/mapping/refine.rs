@@ -22,9 +22,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// the angle of rotation in radians.
 const MAX_SEPARATION: f64 = 1.0;
 
-/// What of each keyframe is mapped: its depth, with dense depth ([`monogrid_depth::dense_depth`]) and made better by the images of the
-/// keyframes around it ([`monogrid_depth::refine_depth`]) if the settings ask for it, filtered and filled as
-/// [`KeyframeScan::new`] does.
+/// What of each keyframe is mapped: its depth, with dense depth ([`monogrid_depth::dense_depth`])
+/// and made better by the images of the keyframes around it ([`monogrid_depth::refine_depth`]) if
+/// the settings ask for it, filtered and filled as [`KeyframeScan::new`] does.
 ///
 /// The result does not depend on the number of threads.
 #[must_use]
@@ -38,8 +38,8 @@ pub fn final_scans(
     final_scans_of(keyframes, camera, config, threads, rest)
 }
 
-/// As [`final_scans`], of keyframes that lie where there is room, and so do the scans, in the store; `done` grows with every keyframe, for
-/// those who wait.
+/// As [`final_scans`], of keyframes that lie where there is room, and so do the scans, in the
+/// store; `done` grows with every keyframe, for those who wait.
 pub(crate) fn final_scans_of(
     keyframes: &[PosedKeyframe],
     camera: &KeyframeCamera,
@@ -98,8 +98,8 @@ fn views_of<T>(all: &[T], found: impl Fn(&T) -> &Found) -> Vec<Option<View>> {
     all.iter().map(|this| found(this).view.clone()).collect()
 }
 
-/// The depth of each keyframe, made better by the images of the keyframes around it, whether or not the
-/// settings are enabled; as it was where fewer than two of them agree.
+/// The depth of each keyframe, made better by the images of the keyframes around it, whether or not
+/// the settings are enabled; as it was where fewer than two of them agree.
 ///
 /// The result does not depend on the number of threads.
 #[must_use]

@@ -1,6 +1,7 @@
 //! From the depth of a keyframe to the measurements that are mapped.
 //!
-//! What is not precise enough is left out here and not by the depth filter: recordings keep all depth, for maps by other rules.
+//! What is not precise enough is left out here and not by the depth filter: recordings keep all
+//! depth, for maps by other rules.
 
 use super::{DepthFilterConfig, MappingConfig, fill_plain_regions};
 use crate::store::{Kept, Store};
@@ -39,7 +40,8 @@ impl KeyframeCamera {
     }
 }
 
-/// What of a keyframe is mapped; its measurements are where there is room ([`crate::Slam::spill_into`]), or in memory.
+/// What of a keyframe is mapped; its measurements are where there is room
+/// ([`crate::Slam::spill_into`]), or in memory.
 #[derive(Clone, Debug)]
 pub struct KeyframeScan {
     /// The keyframe.
@@ -63,8 +65,8 @@ impl PartialEq for KeyframeScan {
 }
 
 impl KeyframeScan {
-    /// The measurements of a keyframe that pass the filter and, if the settings ask for it and there is
-    /// an image, depth on the plain surfaces between them.
+    /// The measurements of a keyframe that pass the filter and, if the settings ask for it and
+    /// there is an image, depth on the plain surfaces between them.
     #[must_use]
     pub fn new(
         id: KeyframeId,
@@ -78,7 +80,8 @@ impl KeyframeScan {
         depths.joined(id, camera, &Store::default())
     }
 
-    /// A scan of these measurements, row-major, in units of the keyframe; `num_filled` of them were not measured. They stay in memory.
+    /// A scan of these measurements, row-major, in units of the keyframe; `num_filled` of them were
+    /// not measured. They stay in memory.
     #[must_use]
     pub fn of_measurements(
         id: KeyframeId,
@@ -89,7 +92,8 @@ impl KeyframeScan {
         Self::kept(id, camera, (pixels, num_filled), &Store::default())
     }
 
-    /// All known pixels of a depth image (z, NaN where unknown), at a constant relative uncertainty.
+    /// All known pixels of a depth image (z, NaN where unknown), at a constant relative
+    /// uncertainty.
     #[must_use]
     pub fn from_depth_image(
         id: KeyframeId,
@@ -122,7 +126,8 @@ impl KeyframeScan {
         }
     }
 
-    /// Those of its measurements that are wanted, none of which counts as filled in; they lie where these do.
+    /// Those of its measurements that are wanted, none of which counts as filled in; they lie where
+    /// these do.
     #[must_use]
     pub fn only(&self, is_wanted: impl FnMut(&&Measurement) -> bool) -> Self {
         let pixels = self.pixels().iter().filter(is_wanted).copied().collect();
@@ -186,7 +191,8 @@ pub(super) struct Depths {
 }
 
 impl Depths {
-    /// The measurements that pass the filter, and depth on the plain surfaces between them, of at most that relative standard deviation.
+    /// The measurements that pass the filter, and depth on the plain surfaces between them, of at
+    /// most that relative standard deviation.
     pub fn new(
         id: KeyframeId,
         pixels: &[DepthPixel],

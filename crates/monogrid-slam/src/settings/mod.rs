@@ -58,8 +58,8 @@ pub enum SettingError {
     },
 }
 
-/// Rows `place: unit, ranges, meaning, reason;` of a parameter struct; the name of a row is its place, so
-/// that none can be confused.
+/// Rows `place: unit, ranges, meaning, reason;` of a parameter struct; the name of a row is its
+/// place, so that none can be confused.
 macro_rules! settings {
     ($config:ident: $type:ty, $($place:expr => $unit:literal, [$($range:expr),*], $meaning:literal, $reason:literal;)*) => {
         &[$($crate::settings::Setting {
@@ -169,8 +169,8 @@ fn below<'a>(name: &'a str, section: &str) -> &'a str {
     rest.unwrap_or(name)
 }
 
-/// Changes what a section of a configuration file names; the names in it that are no longer settings
-/// are ignored, and returned.
+/// Changes what a section of a configuration file names; the names in it that are no longer
+/// settings are ignored, and returned.
 ///
 /// # Errors
 /// A name that no setting has or had, or a value of another type. Ranges are not checked.

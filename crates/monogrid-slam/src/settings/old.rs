@@ -1,5 +1,5 @@
-//! Names of settings and sections that earlier versions had. Files and `--set` may still name them for
-//! one version; they have no effect.
+//! Names of settings and sections that earlier versions had. Files and `--set` may still name them
+//! for one version; they have no effect.
 
 /// Sections, and the names that are gone from each; a name stands for all below it.
 const OLD: &[(&str, &str)] = &[

@@ -60,7 +60,8 @@ pub(crate) fn adjust_window(map: &Map, pinhole: &Pinhole, config: &SparseConfig)
     })
 }
 
-/// Adjusts all keyframes of a fragment and all points that they share; says which observations do not fit.
+/// Adjusts all keyframes of a fragment and all points that they share; says which observations do
+/// not fit.
 pub(crate) fn adjust_all(
     map: &Map,
     fragment: FragmentId,
@@ -73,8 +74,8 @@ pub(crate) fn adjust_all(
     })
 }
 
-/// The same to the places at which points were found and to the images where they are projected: from near the solution, since an
-/// image says nothing of what is more than two pixels away.
+/// The same to the places at which points were found and to the images where they are projected:
+/// from near the solution, since an image says nothing of what is more than two pixels away.
 pub(crate) fn adjust_all_to_images(
     map: &Map,
     fragment: FragmentId,
@@ -93,8 +94,9 @@ fn all_of(map: &Map, fragment: FragmentId) -> Vec<KeyframeId> {
     map.in_fragment(fragment).map(|k| k.id).collect()
 }
 
-/// What all adjustments share. Most patches are found to a tenth of a pixel and some a pixel beside, where they overlap an edge
-/// of something nearer or are seen too flat: a nearly absolute error lets these say little.
+/// What all adjustments share. Most patches are found to a tenth of a pixel and some a pixel
+/// beside, where they overlap an edge of something nearer or are seen too flat: a nearly absolute
+/// error lets these say little.
 fn bundle_settings(max_iterations: usize, config: &SparseConfig) -> BundleConfig {
     BundleConfig {
         max_iterations,
@@ -114,7 +116,8 @@ fn final_settings(max_iterations: usize, config: &SparseConfig) -> BundleConfig 
     }
 }
 
-/// Adjusts some keyframes of a fragment, given ascending, with the points that they see, by a way to solve it.
+/// Adjusts some keyframes of a fragment, given ascending, with the points that they see, by a way
+/// to solve it.
 fn adjust_by(
     map: &Map,
     fragment: FragmentId,
@@ -243,8 +246,8 @@ impl Problem {
     }
 }
 
-/// What may change about each pose. The first keyframe of the fragment is its world; where nothing else is fixed and no
-/// depth was measured, the distance to the farthest keyframe holds the scale.
+/// What may change about each pose. The first keyframe of the fragment is its world; where nothing
+/// else is fixed and no depth was measured, the distance to the farthest keyframe holds the scale.
 fn freedoms(
     map: &Map,
     keyframes: &[KeyframeId],

@@ -11,12 +11,12 @@ use std::sync::Arc;
 /// Half width of the search for a point in the adjustments of all keyframes together, px.
 const FINAL_RADIUS_PX: f64 = 4.0;
 
-/// Keyframes in which points are looked for at the same time. All others are made ready once for so many, and the pyramids of these are
-/// in memory.
+/// Keyframes in which points are looked for at the same time. All others are made ready once for so
+/// many, and the pyramids of these are in memory.
 const BLOCK: usize = 16;
 
-/// Where keyframes of a fragment see points that were not found in them before: those that were anchored later, and
-/// those that the poses of their time had elsewhere.
+/// Where keyframes of a fragment see points that were not found in them before: those that were
+/// anchored later, and those that the poses of their time had elsewhere.
 pub(crate) fn find_again(
     map: &Map,
     fragment: FragmentId,

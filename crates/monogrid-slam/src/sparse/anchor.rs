@@ -11,8 +11,9 @@ use monogrid_image::Mask;
 /// Points anchored per keyframe with fewer observations after this many keyframes are dropped.
 const DROP_AFTER_KEYFRAMES: u32 = 3;
 
-/// New corners of the newest keyframe where it sees few points, with depth from the dense map (its units), and
-/// where the keyframes used last see them. `seen` are the pixels of the points that it sees already.
+/// New corners of the newest keyframe where it sees few points, with depth from the dense map (its
+/// units), and where the keyframes used last see them. `seen` are the pixels of the points that it
+/// sees already.
 pub(crate) fn anchor(
     map: &Map,
     depth: &DepthMap,
@@ -81,8 +82,8 @@ pub(crate) fn corner_settings(
     }
 }
 
-/// Points in use that were not found again soon after they were anchored, in the fragment of the newest
-/// keyframe.
+/// Points in use that were not found again soon after they were anchored, in the fragment of the
+/// newest keyframe.
 pub(crate) fn unconfirmed(map: &Map) -> Vec<usize> {
     let Some(newest) = map.newest() else {
         return Vec::new();

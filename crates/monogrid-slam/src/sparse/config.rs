@@ -27,7 +27,8 @@ pub struct SparseConfig {
     pub images: ImageAdjustmentConfig,
 }
 
-/// Settings of the adjustment of all keyframes and points to the images themselves, where the points are projected.
+/// Settings of the adjustment of all keyframes and points to the images themselves, where the
+/// points are projected.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImageAdjustmentConfig {
     /// Whether the last adjustment is followed by one to the images.

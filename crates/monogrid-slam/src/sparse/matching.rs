@@ -77,8 +77,8 @@ pub(crate) struct PointSearch<'a> {
     pub which: Which,
     /// Points that are looked for at most.
     pub max_points: usize,
-    /// Whether a point is compared with how it was seen last, which looks most like the image, instead of with
-    /// its anchor, whose patches do not wander.
+    /// Whether a point is compared with how it was seen last, which looks most like the image,
+    /// instead of with its anchor, whose patches do not wander.
     pub from_newest: bool,
 }
 
@@ -118,14 +118,15 @@ pub(super) fn find_in_newest(map: &Map, pinhole: &Pinhole) -> Search {
     find_in_image(map, &search, pinhole)
 }
 
-/// Projects the points of a fragment into an image, spreads the visible ones over it, and looks for their
-/// patches.
+/// Projects the points of a fragment into an image, spreads the visible ones over it, and looks for
+/// their patches.
 pub(crate) fn find_in_image(map: &Map, search: &PointSearch, pinhole: &Pinhole) -> Search {
     let found = find_in_images(map, std::slice::from_ref(search), pinhole);
     found.into_iter().next().unwrap_or_default()
 }
 
-/// The same in several images, one after the other. What keyframes show is made ready once for all images, not once for each.
+/// The same in several images, one after the other. What keyframes show is made ready once for all
+/// images, not once for each.
 pub(super) fn find_in_images(
     map: &Map,
     searches: &[PointSearch],
@@ -322,7 +323,8 @@ impl PointView<'_> {
     }
 }
 
-/// As many points as are looked for at most, taken round robin from square cells, the best observed ones first.
+/// As many points as are looked for at most, taken round robin from square cells, the best observed
+/// ones first.
 fn spread(visible: &[(usize, Vec2)], map: &Map, search: &PointSearch) -> Vec<(usize, Vec2)> {
     let (cell, size) = (CELL_PX as f64, size_of(search.pyramid));
     let columns = (size.0 / cell).ceil() as usize;
@@ -374,7 +376,8 @@ pub(super) fn dense_idepth(depth: &DepthMap, pixel: &Vec2) -> Option<(f64, f64)>
     (idepth > 0.0).then(|| (f64::from(idepth), f64::from((var + spread * spread).sqrt())))
 }
 
-/// For each of the points about to be anchored in the newest keyframe, where the keyframes used last see it.
+/// For each of the points about to be anchored in the newest keyframe, where the keyframes used
+/// last see it.
 pub(super) fn find_in_older(
     map: &Map,
     newest: &MapKeyframe,

@@ -1,12 +1,13 @@
-//! The sparse layer: points anchored in keyframes and found again in covisible ones, adjusted when a
-//! keyframe is made. It holds pose and scale; the dense depth follows it.
+//! The sparse layer: points anchored in keyframes and found again in covisible ones, adjusted when
+//! a keyframe is made. It holds pose and scale; the dense depth follows it.
 //!
-//! For a new keyframe, each step reads the map as the one before left it: [`register`] finds the points of
-//! all keyframes in it and refines its pose → [`anchor`] makes new points and finds them in older keyframes →
-//! [`adjust_window`] is bundle adjustment over the newest and the most covisible keyframes →
-//! [`unconfirmed`] names points that were not found again → [`dense_links`] and [`world_from_keyframes`] pin
-//! the unit of each keyframe's dense depth to the points. After the last frame [`find_again`] looks for all points
-//! in all keyframes, [`adjust_all`] adjusts everything together, and [`adjust_all_to_images`] does so to the images themselves.
+//! For a new keyframe, each step reads the map as the one before left it: [`register`] finds the
+//! points of all keyframes in it and refines its pose → [`anchor`] makes new points and finds them
+//! in older keyframes → [`adjust_window`] is bundle adjustment over the newest and the most
+//! covisible keyframes → [`unconfirmed`] names points that were not found again → [`dense_links`]
+//! and [`world_from_keyframes`] pin the unit of each keyframe's dense depth to the points. After
+//! the last frame [`find_again`] looks for all points in all keyframes, [`adjust_all`] adjusts
+//! everything together, and [`adjust_all_to_images`] does so to the images themselves.
 //!
 //! Lengths here are world units; every keyframe is a rigid pose.
 

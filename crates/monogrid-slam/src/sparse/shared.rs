@@ -21,8 +21,9 @@ pub(crate) struct SharedPoints {
     pub count: usize,
 }
 
-/// Pairs of keyframes with enough common points and not too far apart, of which one is among `window`,
-/// older keyframe first: of each keyframe the older ones with the most common points, those first.
+/// Pairs of keyframes with enough common points and not too far apart, of which one is among
+/// `window`, older keyframe first: of each keyframe the older ones with the most common points,
+/// those first.
 pub(crate) fn shared_points(map: &Map, window: &[KeyframeId], max_gap: u32) -> Vec<SharedPoints> {
     let mut shared: BTreeMap<(KeyframeId, KeyframeId), usize> = BTreeMap::new();
     let mut seen_by = Vec::new();

@@ -1,9 +1,10 @@
-//! A start after a loss whose first keyframe shows frames from before the loss: the map goes on there, without a
-//! fragment.
+//! A start after a loss whose first keyframe shows frames from before the loss: the map goes on
+//! there, without a fragment.
 //!
-//! The frames of the loss, and then the last ones with a pose, are tracked backwards on the new first keyframe. Those that
-//! the map and the start both know say where the start lies in the map, and with which scale: a similarity of two paths.
-//! How well it is known follows from how well the paths agree, over the length that they have in common.
+//! The frames of the loss, and then the last ones with a pose, are tracked backwards on the new
+//! first keyframe. Those that the map and the start both know say where the start lies in the map,
+//! and with which scale: a similarity of two paths. How well it is known follows from how well the
+//! paths agree, over the length that they have in common.
 
 use super::camera::{Known, Last};
 use super::constrain::covariance_of;
@@ -40,7 +41,8 @@ struct KnownTwice {
 }
 
 impl Slam {
-    /// Looks for the last frames with a pose in what a start shows; `None` where too few are seen, or do not say enough.
+    /// Looks for the last frames with a pose in what a start shows; `None` where too few are seen,
+    /// or do not say enough.
     pub(super) fn land(&self, started: &Started) -> Option<Landing> {
         let (map, known) = (&self.map, &self.camera.known);
         let parent = &map[known.back()?.keyframe];
@@ -61,8 +63,8 @@ impl Slam {
     }
 }
 
-/// Poses of frames of the map, the last of them first, on the first keyframe of a start, as far as each can be tracked from
-/// the one after it.
+/// Poses of frames of the map, the last of them first, on the first keyframe of a start, as far as
+/// each can be tracked from the one after it.
 fn seen_by_start(setup: &Setup, started: &Started, known: &[&Known]) -> Vec<Se3> {
     let samples = tracking_samples(&started.depth, &setup.config.tracking);
     let reference = reference(setup, &started.keyframe.pyramid, &samples);
@@ -101,7 +103,8 @@ struct Fit {
 }
 
 impl Fit {
-    /// The rotation is the mean of those between the orientations, the scale the ratio of the extents of both paths.
+    /// The rotation is the mean of those between the orientations, the scale the ratio of the
+    /// extents of both paths.
     fn of(twice: &[KnownTwice]) -> Option<Self> {
         let n = twice.len() as f64;
         let turn = |t: &KnownTwice| t.in_map.rotation * t.in_start.rotation.inverse();
@@ -155,8 +158,8 @@ impl Landing {
         }
     }
 
-    /// What the graph is told: the position is as uncertain as the frames disagree, and as the scale is over the way to
-    /// the parent.
+    /// What the graph is told: the position is as uncertain as the frames disagree, and as the
+    /// scale is over the way to the parent.
     pub(super) fn link(&self, first_keyframe: KeyframeId) -> Link {
         let start = &self.parent_from_start;
         let scale_sigma = self.evidence.scale_sigma.max(MIN_SCALE_SIGMA);
@@ -175,7 +178,8 @@ impl Landing {
     }
 }
 
-/// Nothing is claimed to be known better than this: parallax of a few frames, a keyframe's median depth as the unit.
+/// Nothing is claimed to be known better than this: parallax of a few frames, a keyframe's median
+/// depth as the unit.
 const MIN_SCALE_SIGMA: f64 = 0.02;
 const MIN_POSITION_SIGMA: f64 = 0.005;
 const MIN_TURN_SIGMA: f64 = 0.005;

@@ -121,8 +121,8 @@ impl Slam {
         }
     }
 
-    /// Makes `frame` the newest keyframe, on top of a parent that it was tracked on; `view` is the keyframe
-    /// that was finished for it.
+    /// Makes `frame` the newest keyframe, on top of a parent that it was tracked on; `view` is the
+    /// keyframe that was finished for it.
     pub(super) fn make_keyframe(
         &mut self,
         frame: &Frame,

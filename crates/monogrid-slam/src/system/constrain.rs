@@ -1,4 +1,5 @@
-//! What the graph of keyframes is given to work on beside tracking; its results are taken over at a fixed lag.
+//! What the graph of keyframes is given to work on beside tracking; its results are taken over at a
+//! fixed lag.
 
 use super::setup::Setup;
 use crate::graph::{
@@ -28,8 +29,8 @@ pub(super) struct GraphLink {
 }
 
 impl GraphLink {
-    /// A link, if the configuration asks for a graph; to that of an earlier session, if there is one. Also its
-    /// edges.
+    /// A link, if the configuration asks for a graph; to that of an earlier session, if there is
+    /// one. Also its edges.
     pub(super) fn new(
         setup: &Setup,
         restored: Option<RestoredGraph>,
@@ -89,7 +90,8 @@ impl GraphLink {
         Some(update)
     }
 
-    /// Keyframes that a frame shows, by appearance, the most certain first. No job may be under way.
+    /// Keyframes that a frame shows, by appearance, the most certain first. No job may be under
+    /// way.
     pub(super) fn recognise(&mut self, frame: &Arc<Pyramid>) -> Vec<Relocalised> {
         let worker = self.worker.as_mut();
         worker.map_or_else(Vec::new, |worker| worker.relocalise(frame))
@@ -118,7 +120,8 @@ pub(super) fn graph_job(
     }
 }
 
-/// Keyframes that share points with those used last; at the end all, in the fragments of which all keyframes were adjusted.
+/// Keyframes that share points with those used last; at the end all, in the fragments of which all
+/// keyframes were adjusted.
 fn newly_shared(setup: &Setup, map: &Map, is_final: bool) -> Vec<SharedPoints> {
     let sparse = &setup.config.sparse;
     let Some(newest) = map.newest().filter(|_| sparse.enabled) else {

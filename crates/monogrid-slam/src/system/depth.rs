@@ -1,7 +1,7 @@
 //! Depth of keyframes: refined with frames, handed on to the next keyframe, and brought back.
 //!
-//! A new keyframe takes over propagated depth and is observed in older keyframes at once: their baselines are longer than those
-//! of the frames to come.
+//! A new keyframe takes over propagated depth and is observed in older keyframes at once: their
+//! baselines are longer than those of the frames to come.
 
 use super::camera::Active;
 use super::setup::Setup;
@@ -84,7 +84,8 @@ impl Slam {
         self.camera.active = Some(active);
     }
 
-    /// Observes the newest keyframe's pixels in those keyframes with a useful baseline that were used last.
+    /// Observes the newest keyframe's pixels in those keyframes with a useful baseline that were
+    /// used last.
     pub(super) fn observe_old_keyframes(
         &self,
         newest: KeyframeId,
@@ -186,7 +187,8 @@ pub(super) fn published_depth(setup: &Setup, keyframe: &Keyframe) -> Option<Dept
     let publication = &setup.config.publication;
     let validity = MATURE_VALIDITY.max(publication.min_validity);
     for pixel in &keyframe.pixels {
-        // publication has made the variance larger; errors that all pixels share stay in a part of it
+        // publication has made the variance larger; errors that all pixels share stay in a part of
+        // it
         let shared = (publication.relative_sigma * pixel.idepth).powi(2);
         let own = (pixel.idepth_var - shared).max(0.1 * pixel.idepth_var);
         depth.seed_pixel(&PixelDepth {

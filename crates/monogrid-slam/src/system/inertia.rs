@@ -1,8 +1,8 @@
-//! A fragment that a loss began, where an inertial sensor says where it lies: it becomes a part of the main map without a place
-//! that is seen again.
+//! A fragment that a loss began, where an inertial sensor says where it lies: it becomes a part of
+//! the main map without a place that is seen again.
 //!
-//! The paths before and after the loss are two parts of one motion, each with a unit of its own; the readings go through both and
-//! the time between ([`monogrid_inertial::estimate`]).
+//! The paths before and after the loss are two parts of one motion, each with a unit of its own;
+//! the readings go through both and the time between ([`monogrid_inertial::estimate`]).
 
 use super::constrain::covariance_of;
 use super::slam::Slam;
@@ -28,7 +28,8 @@ struct Place {
 }
 
 impl Slam {
-    /// The fragment that the camera is in becomes a part of the main map, where the readings say well enough where it lies.
+    /// The fragment that the camera is in becomes a part of the main map, where the readings say
+    /// well enough where it lies.
     pub(super) fn join_by_inertia(&mut self) {
         let active = self.camera.active.as_ref();
         let fragment = active.map(|active| self.map[active.id].fragment);

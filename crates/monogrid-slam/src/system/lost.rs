@@ -1,11 +1,12 @@
 //! A lost camera: recognised, or the beginning of a fragment of the map.
 //!
-//! A camera that stays lost starts a new fragment, which is joined when it is recognised, unless its start lies in
-//! the map already (see `bridge`).
+//! A camera that stays lost starts a new fragment, which is joined when it is recognised, unless
+//! its start lies in the map already (see `bridge`).
 //!
-//! Each fragment has a world of its own: the camera of its first keyframe. Everything that compares poses
-//! (sparse layer, known views, graph) stays within one. What joins them is the recognition of places, in the
-//! graph; the frames of a fragment follow their keyframes, so that the camera goes on as if nothing happened.
+//! Each fragment has a world of its own: the camera of its first keyframe. Everything that compares
+//! poses (sparse layer, known views, graph) stays within one. What joins them is the recognition of
+//! places, in the graph; the frames of a fragment follow their keyframes, so that the camera goes
+//! on as if nothing happened.
 
 use super::relocalise::{Recognised, Resume};
 use super::setup::Setup;
@@ -23,8 +24,8 @@ use monogrid_image::Pyramid;
 const MIN_LOST_FRAMES: usize = 2;
 
 impl Slam {
-    /// A lost frame is looked for among all keyframes; where it is not recognised for long, a fragment of the
-    /// map is started.
+    /// A lost frame is looked for among all keyframes; where it is not recognised for long, a
+    /// fragment of the map is started.
     pub(super) fn find_back(&mut self, frame: Frame, mut report: FrameReport) -> FrameReport {
         let was_tracked = report.keyframe.is_some();
         if was_tracked && self.camera.lost_in_a_row == 0 {
@@ -39,8 +40,8 @@ impl Slam {
         report
     }
 
-    /// Where a lost frame is; the first frames of a loss, and those before the map of an earlier session was
-    /// recognised, are not worth the same effort.
+    /// Where a lost frame is; the first frames of a loss, and those before the map of an earlier
+    /// session was recognised, are not worth the same effort.
     fn recognise(&mut self, frame: &Frame, was_tracked: bool) -> Option<Recognised> {
         let places = &self.setup.config.graph.places;
         let is_lost_enough = self.camera.lost_in_a_row >= MIN_LOST_FRAMES;
@@ -87,8 +88,8 @@ impl Slam {
         report.exposure_gain = alignment.gain();
     }
 
-    /// A camera that stays lost starts anew: in the map where the start shows the last frames before the loss, else as a
-    /// fragment.
+    /// A camera that stays lost starts anew: in the map where the start shows the last frames
+    /// before the loss, else as a fragment.
     fn wait_for_fragment(&mut self, frame: Frame, report: &mut FrameReport) {
         let has_started = self.camera.loss.advance(&self.setup, &self.map, frame);
         let started = self.camera.loss.started.as_deref().filter(|_| has_started);
@@ -126,7 +127,8 @@ pub(super) struct Loss {
     started: Option<Box<Started>>,
 }
 
-/// A pause in the video longer than this does not count as time in which the place was not recognised.
+/// A pause in the video longer than this does not count as time in which the place was not
+/// recognised.
 const MAX_STEP_NS: i64 = 200_000_000;
 
 impl Loss {
@@ -183,7 +185,8 @@ impl Loss {
     }
 }
 
-/// Whether enough of an image is not plain: in a covered or overexposed one no place can be recognised.
+/// Whether enough of an image is not plain: in a covered or overexposed one no place can be
+/// recognised.
 fn has_texture(pyramid: &Pyramid) -> bool {
     /// Level on which noise is averaged out.
     const LEVEL: usize = 2;

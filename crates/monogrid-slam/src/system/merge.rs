@@ -1,7 +1,8 @@
 //! Maps of several runs as one, as far as they show the same places.
 //!
-//! A keyframe has its camera with it in the graph, in the memory of places, in scans and in recordings, so that runs may have different
-//! ones. Tracking, the depth filter and the sparse layer know one camera, so a map of several cannot be continued.
+//! A keyframe has its camera with it in the graph, in the memory of places, in scans and in
+//! recordings, so that runs may have different ones. Tracking, the depth filter and the sparse
+//! layer know one camera, so a map of several cannot be continued.
 
 use super::points::adjust_whole;
 use super::sessions::{restored, stored};
@@ -20,19 +21,21 @@ use std::sync::Arc;
 /// What came of [`merge_maps`].
 #[derive(Clone, Debug)]
 pub struct MergedMaps {
-    /// All keyframes. Those that were joined are in the fragment of the first of them, in its world; the others are where they were.
+    /// All keyframes. Those that were joined are in the fragment of the first of them, in its
+    /// world; the others are where they were.
     pub map: StoredMap,
     /// What each two fragments had in common before.
     pub meetings: Vec<Meeting>,
 }
 
-/// Joins the fragments of a map that was [put together](StoredMap::side_by_side) of several runs, where they show the same places. The
-/// keyframes may have cameras of their own.
+/// Joins the fragments of a map that was [put together](StoredMap::side_by_side) of several runs,
+/// where they show the same places. The keyframes may have cameras of their own.
 ///
-/// Keyframes are recognised by their corners, verified by points in both directions and aligned directly over Sim(3); two fragments are
-/// joined where enough of that is consistent ([`crate::MergeConfig`]), and one robust pose graph then holds all keyframes of both. At
-/// last the points of all are looked for in the keyframes of all others, and everything that was joined is adjusted together, as at the end of a
-/// run.
+/// Keyframes are recognised by their corners, verified by points in both directions and aligned
+/// directly over Sim(3); two fragments are joined where enough of that is consistent
+/// ([`crate::MergeConfig`]), and one robust pose graph then holds all keyframes of both. At last
+/// the points of all are looked for in the keyframes of all others, and everything that was joined
+/// is adjusted together, as at the end of a run.
 ///
 /// # Errors
 /// When the map is damaged, or the settings keep places from being recognised.
@@ -67,8 +70,9 @@ pub fn merge_maps(config: &SlamConfig, map: StoredMap) -> Result<MergedMaps, Sla
     Ok(MergedMaps { map, meetings })
 }
 
-/// The map with the keyframes of these fragments adjusted together, by the points that they share. The sparse layer knows one camera only: it is
-/// shown all keyframes as the one of them with the widest view would see them.
+/// The map with the keyframes of these fragments adjusted together, by the points that they share.
+/// The sparse layer knows one camera only: it is shown all keyframes as the one of them with the
+/// widest view would see them.
 fn adjusted(
     graph: &mut KeyframeGraph,
     setups: &[Setup],
@@ -110,7 +114,8 @@ fn adjusted(
     Ok(map)
 }
 
-/// A map as if all keyframes were of one camera: images, depths and points where it would see them. What it would not see is left out.
+/// A map as if all keyframes were of one camera: images, depths and points where it would see them.
+/// What it would not see is left out.
 fn through(map: &StoredMap, camera: &KeyframeCamera) -> StoredMap {
     let keyframes = map.keyframes.iter().map(|stored| shown_by(stored, camera));
     let own = |id: KeyframeId| map.keyframes[id as usize].pinhole;
@@ -148,7 +153,8 @@ fn moved(mut point: StoredPoint, pixel_of: impl Fn(KeyframeId, Vec2) -> Vec2) ->
     point
 }
 
-/// A keyframe as another camera with its pose would see it. Beyond its image the border goes on, in which nothing is found.
+/// A keyframe as another camera with its pose would see it. Beyond its image the border goes on, in
+/// which nothing is found.
 fn shown_by(stored: &StoredKeyframe, camera: &KeyframeCamera) -> StoredKeyframe {
     let mut shown = stored.clone();
     if camera_of(stored) == *camera {

@@ -10,8 +10,8 @@ use crate::sparse::{
 use monogrid_depth::DepthMap;
 use monogrid_geometry::Vec2;
 
-/// Brings the newest keyframe, of which `depth` is the dense depth, into the sparse layer, if there is one; poses and units of
-/// the keyframes of its fragment follow.
+/// Brings the newest keyframe, of which `depth` is the dense depth, into the sparse layer, if there
+/// is one; poses and units of the keyframes of its fragment follow.
 pub(super) fn adjust_points(setup: &Setup, map: &mut Map, depth: &DepthMap) {
     let config = &setup.config.sparse;
     let Some(newest) = map.newest().filter(|_| config.enabled) else {
@@ -36,8 +36,8 @@ pub(super) fn adjust_points(setup: &Setup, map: &mut Map, depth: &DepthMap) {
     map.pose(&world_from_keyframes(map, fragment, newest, &setup.pinhole));
 }
 
-/// After the last frame: what the keyframes of a fragment share is looked for once more at the poses that all of them
-/// have, and poses and points are adjusted together.
+/// After the last frame: what the keyframes of a fragment share is looked for once more at the
+/// poses that all of them have, and poses and points are adjusted together.
 pub(super) fn adjust_whole(setup: &Setup, map: &mut Map, fragment: FragmentId) {
     let config = &setup.config.sparse;
     let num_keyframes = map.num_keyframes_in(fragment);
@@ -54,7 +54,8 @@ pub(super) fn adjust_whole(setup: &Setup, map: &mut Map, fragment: FragmentId) {
         let lens = LeftLens::new(&setup.pinhole, setup.left_radial);
         map.adjust(adjust_all(map, fragment, &lens, config));
     } else if config.images.enabled && num_keyframes >= config.images.min_keyframes {
-        // images see what is wrong with a camera more sharply than places do, so this is for a camera of which nothing is left
+        // images see what is wrong with a camera more sharply than places do, so this is for a
+        // camera of which nothing is left
         map.adjust(adjust_all_to_images(map, fragment, &pinhole, config));
     }
     let poses = world_from_keyframes(map, fragment, num_keyframes, &setup.pinhole);

@@ -24,7 +24,8 @@ pub type Told<'a> = dyn FnMut(&FrameReport) -> Effort + Send + 'a;
 pub enum Effort {
     /// It makes the map better where it can.
     Whole,
-    /// The next one waits already: it refines no depth. A new keyframe, without which the camera would be lost, is made all the same.
+    /// The next one waits already: it refines no depth. A new keyframe, without which the camera
+    /// would be lost, is made all the same.
     Hurried,
 }
 
@@ -34,10 +35,11 @@ impl Slam {
         self.process_frame_telling(input, &mut |_| Effort::Whole)
     }
 
-    /// The same; a frame that is tracked is told of as soon as it has its pose, before it makes the map better, which takes several times
-    /// as long. What is told is the report so far, with the same poses, but not what the frame does to keyframes. Nothing is told of
-    /// frames that have no pose, that wait, or that were found by their appearance. Who always answers [`Effort::Whole`] gets the results of
-    /// [`Slam::process_frame`].
+    /// The same; a frame that is tracked is told of as soon as it has its pose, before it makes the
+    /// map better, which takes several times as long. What is told is the report so far, with the
+    /// same poses, but not what the frame does to keyframes. Nothing is told of frames that have no
+    /// pose, that wait, or that were found by their appearance. Who always answers
+    /// [`Effort::Whole`] gets the results of [`Slam::process_frame`].
     pub fn process_frame_telling(&mut self, input: FrameInput, told: &mut Told<'_>) -> FrameReport {
         // inside the pool of threads its many short parallel steps begin without waking anybody
         rayon::scope(|_| {
@@ -60,9 +62,9 @@ impl Slam {
         Some(last)
     }
 
-    /// The same after the last frame of all: what only more frames would need ([`Self::release`]) is given back before the last
-    /// adjustment, which takes much memory itself. `released` hears of it, since images and depth of keyframes are not needed before that
-    /// adjustment is done.
+    /// The same after the last frame of all: what only more frames would need ([`Self::release`])
+    /// is given back before the last adjustment, which takes much memory itself. `released` hears
+    /// of it, since images and depth of keyframes are not needed before that adjustment is done.
     pub fn conclude(&mut self, released: &mut dyn FnMut(&Self)) -> Option<KeyframeId> {
         let last = self.finish_keyframe();
         self.await_graph();
@@ -73,7 +75,8 @@ impl Slam {
         Some(last)
     }
 
-    /// Finishes the last keyframe and gives the graph all that there is; the keyframe, if there is one.
+    /// Finishes the last keyframe and gives the graph all that there is; the keyframe, if there is
+    /// one.
     fn finish_keyframe(&mut self) -> Option<KeyframeId> {
         self.events.clear();
         if self.setup.is_frozen {
@@ -97,7 +100,8 @@ impl Slam {
         self.events = self.map.take_events();
     }
 
-    /// The largest fragment is the result, where nobody has asked for the first one: its unit and its place say nothing.
+    /// The largest fragment is the result, where nobody has asked for the first one: its unit and
+    /// its place say nothing.
     fn prefer_larger_map(&mut self) {
         if self.map.scale() == Scale::Metric || self.map.is_restored() {
             return;
@@ -110,8 +114,9 @@ impl Slam {
         }
     }
 
-    /// Gives back the memory that only more frames would need: that of tracking and of the graph's thread, and of keyframes what is not
-    /// published. All that was found stays; the camera is lost in frames that come afterwards.
+    /// Gives back the memory that only more frames would need: that of tracking and of the graph's
+    /// thread, and of keyframes what is not published. All that was found stays; the camera is lost
+    /// in frames that come afterwards.
     pub fn release(&mut self) {
         self.await_graph();
         self.release_camera();
@@ -183,7 +188,8 @@ impl Slam {
         report
     }
 
-    /// One frame of normal operation: tracked, it makes the map better; lost, it is looked for elsewhere.
+    /// One frame of normal operation: tracked, it makes the map better; lost, it is looked for
+    /// elsewhere.
     fn track(&mut self, frame: Frame, told: Option<&mut Told<'_>>) -> FrameReport {
         let update = self.graph.as_mut().and_then(GraphLink::count_frame);
         self.follow_graph(update);
@@ -229,7 +235,8 @@ impl Slam {
         report
     }
 
-    /// Tracks the frames that waited for a map which has begun; the report on the last stands for all.
+    /// Tracks the frames that waited for a map which has begun; the report on the last stands for
+    /// all.
     fn catch_up(&mut self, begun: FrameReport) -> FrameReport {
         let mut last = None;
         for buffered in std::mem::take(&mut self.waiting) {
@@ -316,7 +323,8 @@ mod tests {
     const TOLD_FRAMES: usize = 30;
     const TOLD_STEP: usize = 3;
 
-    /// Reports on the first frames, and what was told of them before, where the answer is always this one.
+    /// Reports on the first frames, and what was told of them before, where the answer is always
+    /// this one.
     fn told(effort: Effort) -> (Slam, Vec<(FrameReport, Option<FrameReport>)>) {
         let mut slam = slam(RefinementConfig::default());
         let reports = (0..TOLD_FRAMES).map(|k| {
@@ -369,7 +377,8 @@ mod tests {
         assert!(whole.0 > refined.0, "{whole:?} {refined:?}");
     }
 
-    /// What becomes of frames of which those from the third on show another place, on so many threads.
+    /// What becomes of frames of which those from the third on show another place, on so many
+    /// threads.
     fn lost_at_once(threads: usize) -> Vec<(TrackingState, Option<Se3>)> {
         let elsewhere = |k: usize| {
             let mut words = Rng::new(k as u64);

@@ -1,8 +1,9 @@
-//! Tracking goes on with a keyframe that exists already: where the camera stays in a known place, the number
-//! of keyframes does not grow.
+//! Tracking goes on with a keyframe that exists already: where the camera stays in a known place,
+//! the number of keyframes does not grow.
 //!
-//! The closest keyframe on which the frame can be tracked takes over. Its depth is refined further and published again when it has
-//! become better. Where tracking and the poses disagree there is a new keyframe instead: a loop is measured, not hidden.
+//! The closest keyframe on which the frame can be tracked takes over. Its depth is refined further
+//! and published again when it has become better. Where tracking and the poses disagree there is a
+//! new keyframe instead: a loop is measured, not hidden.
 
 use super::depth::stored_depth;
 use super::setup::Setup;
@@ -57,8 +58,8 @@ pub(super) struct Confirmed {
 }
 
 impl Slam {
-    /// The closest keyframe that shows what the frame shows, and on which it can be tracked to where the poses say
-    /// that it is.
+    /// The closest keyframe that shows what the frame shows, and on which it can be tracked to
+    /// where the poses say that it is.
     pub(super) fn find_known_view(&self, frame: &Frame, motion: &Motion) -> Option<Confirmed> {
         let (setup, map) = (&self.setup, &self.map);
         let config = in_use(setup);

@@ -1,5 +1,5 @@
-//! A frame is tracked on the current keyframe, and believed or not; so are frames that were missed: the keyframe in use may show
-//! what frames saw that were taken before one with a pose.
+//! A frame is tracked on the current keyframe, and believed or not; so are frames that were missed:
+//! the keyframe in use may show what frames saw that were taken before one with a pose.
 
 use super::camera::{Active, Last};
 use super::outcome::Attempt;
@@ -24,8 +24,8 @@ impl Slam {
         })
     }
 
-    /// Tracks a frame on the keyframe in use, and by the points of the map, from where the motion of the last frames
-    /// leads.
+    /// Tracks a frame on the keyframe in use, and by the points of the map, from where the motion
+    /// of the last frames leads.
     pub(super) fn track_on_active(&self, active: &Active, last: &Last, frame: &Frame) -> Tracked {
         let setup = &self.setup;
         let prior = motion_prior(setup, last, frame.timestamp_ns);
@@ -38,8 +38,8 @@ impl Slam {
         task.track_with_points(&last.pyramid, points.as_ref())
     }
 
-    /// Where frames are on the keyframe in use, tracked from a later frame backwards in time: the last of them first, up
-    /// to the first that cannot be believed.
+    /// Where frames are on the keyframe in use, tracked from a later frame backwards in time: the
+    /// last of them first, up to the first that cannot be believed.
     pub(super) fn track_back(
         &self,
         active: &Active,
@@ -80,7 +80,8 @@ impl Slam {
     }
 }
 
-/// Where a frame should be if the camera goes on as in the last frames, and turns as the gyroscope says where there is one.
+/// Where a frame should be if the camera goes on as in the last frames, and turns as the gyroscope
+/// says where there is one.
 pub(super) fn motion_prior(setup: &Setup, last: &Last, timestamp_ns: i64) -> MotionPrior {
     let interval_ns = (timestamp_ns - last.timestamp_ns).abs();
     let frame_from_last = if setup.config.tracking.motion_hypotheses {

@@ -1,7 +1,8 @@
 //! A second alignment, from where the motion leads, for frames that the first one explains badly.
 //!
-//! Alignment begins on a coarse level, where what is left of a keyframe at the border of the image is a few pixels wide: before a plain
-//! wall it slides off with them, from a prediction that was right. The finest levels alone do not.
+//! Alignment begins on a coarse level, where what is left of a keyframe at the border of the image
+//! is a few pixels wide: before a plain wall it slides off with them, from a prediction that was
+//! right. The finest levels alone do not.
 
 use super::{MotionPrior, is_surprising, judge};
 use crate::{TrackingConfig, TrackingState};
@@ -20,8 +21,9 @@ pub(super) fn is_weak(alignment: &Alignment, prior: &MotionPrior, config: &Track
         || alignment.correlation.unwrap_or(0.0) < RETRY_CORRELATION
 }
 
-/// The second of two alignments of a frame if it agrees well and explains more than the first. (In noise no alignment agrees well, and those
-/// that were right to be refused at a start would be let in.)
+/// The second of two alignments of a frame if it agrees well and explains more than the first. (In
+/// noise no alignment agrees well, and those that were right to be refused at a start would be let
+/// in.)
 pub(super) fn better(first: Alignment, second: Alignment) -> Alignment {
     let is_better = second.motion.frame_from_keyframe.is_finite()
         && second.correlation.unwrap_or(0.0) >= RETRY_CORRELATION
@@ -29,14 +31,16 @@ pub(super) fn better(first: Alignment, second: Alignment) -> Alignment {
     if is_better { second } else { first }
 }
 
-/// How much an alignment explains: the share of all points that are where they should be, by how well their grey values agree. Residuals count
-/// in the contrast of the keyframe, since a small gain makes all of them small.
+/// How much an alignment explains: the share of all points that are where they should be, by how
+/// well their grey values agree. Residuals count in the contrast of the keyframe, since a small
+/// gain makes all of them small.
 fn explained(alignment: &Alignment) -> f64 {
     let residual = f64::from(alignment.residual_rms / alignment.gain()).max(MIN_RESIDUAL);
     f64::from(alignment.good_share) * alignment.correlation.unwrap_or(0.0) / residual
 }
 
-/// Where a shutter rolls two alignments differ by less without one of them having slid, and the first has seen more levels.
+/// Where a shutter rolls two alignments differ by less without one of them having slid, and the
+/// first has seen more levels.
 const MIN_TIMES_BETTER: f64 = 1.25;
 
 /// Smaller residuals say nothing, grey levels.

@@ -1,11 +1,13 @@
 //! The pose that explains pixels and points.
 //!
-//! A pose by direct alignment agrees with the dense depth of one keyframe, whose depth is refined with that
-//! very pose: both drift together (by degrees within ten frames of a turning camera) while the residuals stay
-//! small. Points of several keyframes, adjusted with their poses, do not take part in this: a few of them confirm
-//! the pose of every frame. Where they do not, or alignment is weak or surprising, all are looked for from where alignment
-//! has them, and the pose that most of them agree with is fused with that of alignment by their covariances. Where alignment
-//! failed, they are looked for around the prediction, and random samples of them give the pose.
+//! A pose by direct alignment agrees with the dense depth of one keyframe, whose depth is refined
+//! with that very pose: both drift together (by degrees within ten frames of a turning camera)
+//! while the residuals stay small. Points of several keyframes, adjusted with their poses, do not
+//! take part in this: a few of them confirm the pose of every frame. Where they do not, or
+//! alignment is weak or surprising, all are looked for from where alignment has them, and the pose
+//! that most of them agree with is fused with that of alignment by their covariances. Where
+//! alignment failed, they are looked for around the prediction, and random samples of them give the
+//! pose.
 
 use super::points::{PointMap, PointPose};
 use super::{Support, Task, Tracked, judge};

@@ -74,8 +74,8 @@ pub(crate) enum Support {
 #[derive(Clone, Debug)]
 pub(crate) struct Tracked {
     pub alignment: Alignment,
-    /// Whether the pose is far from where the motion of the last frames leads: then another picture may have
-    /// been "explained".
+    /// Whether the pose is far from where the motion of the last frames leads: then another picture
+    /// may have been "explained".
     pub is_surprising: bool,
     pub support: Support,
     pub state: TrackingState,
@@ -111,8 +111,8 @@ impl<'a> Task<'a> {
 
     /// Tracks the frame by its pixels; `previous` is the frame before, if it is of the same motion.
     ///
-    /// The motion hypotheses are compared on the coarsest level by the share of keyframe points that
-    /// they explain; the best one is refined over the finer levels.
+    /// The motion hypotheses are compared on the coarsest level by the share of keyframe points
+    /// that they explain; the best one is refined over the finer levels.
     pub(crate) fn track(&self, previous: Option<&Pyramid>) -> Tracked {
         let (config, prior) = (self.config, self.prior);
         let levels = &config.alignment;
@@ -263,9 +263,9 @@ fn judge(alignment: &Alignment, config: &TrackingConfig) -> (TrackingState, Opti
     (TrackingState::Good, None)
 }
 
-/// Whether a pose may be believed right after a loss or with degraded residuals, when nothing says that the
-/// camera is near its last place: a picture of another place can be "explained" by little contrast and
-/// little overlap.
+/// Whether a pose may be believed right after a loss or with degraded residuals, when nothing says
+/// that the camera is near its last place: a picture of another place can be "explained" by little
+/// contrast and little overlap.
 pub(crate) fn is_convincing(
     alignment: &Alignment,
     was_lost: bool,

@@ -1,5 +1,5 @@
-//! A pose from points of the sparse layer that are found again. It needs no good start, and it does not drift
-//! with the dense depth of one keyframe.
+//! A pose from points of the sparse layer that are found again. It needs no good start, and it does
+//! not drift with the dense depth of one keyframe.
 
 use crate::map::{Map, MapKeyframe};
 use crate::policy::{MIN_POINT_INLIERS, do_points_decide};
@@ -63,8 +63,9 @@ impl PointMap<'_> {
         do_points_decide(agreeing, probed.num_searched)
     }
 
-    /// The pose of a frame that is within a few pixels of `near`; `None` when the points do not decide.
-    /// `covariance` of `near` (left, keyframe units) says what it is worth beside them, if anything.
+    /// The pose of a frame that is within a few pixels of `near`; `None` when the points do not
+    /// decide. `covariance` of `near` (left, keyframe units) says what it is worth beside them, if
+    /// anything.
     pub(crate) fn pose_near(
         &self,
         frame: &Pyramid,
@@ -90,8 +91,8 @@ impl PointMap<'_> {
         })
     }
 
-    /// The pose of a frame of which `start` is a guess: points are looked for far around, the pose of random
-    /// samples that explains most of them says where to look for them more closely.
+    /// The pose of a frame of which `start` is a guess: points are looked for far around, the pose
+    /// of random samples that explains most of them says where to look for them more closely.
     pub(crate) fn pose_around(&self, frame: &Pyramid, start: &Se3) -> Option<PointPose> {
         let guess = self.camera_from_world(start);
         let search = self.around(frame, &guess, SEARCH_RADIUS_PX);
@@ -105,7 +106,8 @@ impl PointMap<'_> {
         self.pose_near(frame, &self.frame_from_keyframe(&sampled), None)
     }
 
-    /// All points are looked for within a radius of where a pose predicts them, as they were seen last.
+    /// All points are looked for within a radius of where a pose predicts them, as they were seen
+    /// last.
     fn around<'a>(
         &self,
         frame: &'a Pyramid,
@@ -194,7 +196,8 @@ struct Probed {
     seen: Vec<PointPixel>,
 }
 
-/// The mean of two poses weighted by information; `None` where that is singular. Covariances are of left updates.
+/// The mean of two poses weighted by information; `None` where that is singular. Covariances are of
+/// left updates.
 fn fuse((a, a_covariance): (&Se3, &Mat6), (b, b_covariance): (&Se3, &Mat6)) -> Option<Se3> {
     let b_from_a = (*b * a.inverse()).log();
     let share = a_covariance * (a_covariance + b_covariance).try_inverse()?;

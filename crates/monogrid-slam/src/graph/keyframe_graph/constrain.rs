@@ -17,10 +17,12 @@ use std::time::Instant;
 /// Recognised keyframes that are aligned directly at most.
 pub(super) const MAX_LOOPS: usize = 3;
 
-/// Keyframes that are prepared for alignment at the same time at most; one takes 1.8 MB at 640x480, and to prepare it a few milliseconds.
+/// Keyframes that are prepared for alignment at the same time at most; one takes 1.8 MB at 640x480,
+/// and to prepare it a few milliseconds.
 const MAX_PREPARED: usize = 4;
 
-/// A pair that was refused is tried again when the start differs by this much (norm of the tangent).
+/// A pair that was refused is tried again when the start differs by this much (norm of the
+/// tangent).
 const NEW_START: f64 = 0.1;
 
 impl KeyframeGraph {
@@ -131,8 +133,8 @@ impl KeyframeGraph {
         }
     }
 
-    /// Constrains two keyframes between which tracking has changed, by direct alignment or, where that
-    /// fails, by what tracking found; whether they were not constrained before.
+    /// Constrains two keyframes between which tracking has changed, by direct alignment or, where
+    /// that fails, by what tracking found; whether they were not constrained before.
     pub(super) fn link(&mut self, handover: &OdometryEdge) -> bool {
         let (i, j) = (handover.i, handover.j);
         let kinds = [EdgeKind::Odometry, EdgeKind::Sparse, EdgeKind::Direct];
@@ -152,9 +154,9 @@ impl KeyframeGraph {
         true
     }
 
-    /// Looks for old keyframes of the same place by appearance, and constrains a keyframe to them by direct
-    /// alignment from the pose that the recognised points give; whether one was. Those of other fragments are
-    /// sightings, until enough of them agree.
+    /// Looks for old keyframes of the same place by appearance, and constrains a keyframe to them
+    /// by direct alignment from the pose that the recognised points give; whether one was. Those of
+    /// other fragments are sightings, until enough of them agree.
     pub(super) fn search_loops(&mut self, id: KeyframeId) -> bool {
         let between = self.config.places.min_keyframes_between;
         let newest_old = id.checked_sub(between + 1);
@@ -206,8 +208,8 @@ impl KeyframeGraph {
         self.places.find_loops(id, is_allowed, pyramid_of)
     }
 
-    /// Where a frame is, by appearance: the keyframe with its depth, and the pose relative to it. Keyframes of
-    /// the main map come first.
+    /// Where a frame is, by appearance: the keyframe with its depth, and the pose relative to it.
+    /// Keyframes of the main map come first.
     pub(crate) fn relocalise(&self, frame: &Pyramid) -> Vec<Relocalised> {
         let mut found = self.places.relocalise(frame, self.mask.as_ref(), |_| true);
         found.sort_by_key(|found| self.fragment_of(found.keyframe as KeyframeId));

@@ -1,5 +1,5 @@
-//! What the edges of the graph say, and how much they are believed; what drift can do between keyframes: the one rule by which
-//! loops, and what is said about fragments, are told from errors.
+//! What the edges of the graph say, and how much they are believed; what drift can do between
+//! keyframes: the one rule by which loops, and what is said about fragments, are told from errors.
 
 use super::KeyframeGraph;
 use crate::KeyframeId;
@@ -37,7 +37,8 @@ const SPARSE_SCALE_SIGMA: f64 = 0.005;
 pub(super) const CERTAIN: RobustKernel = RobustKernel::Huber { delta: 3.0 };
 
 impl OdometryEdge {
-    /// Covariance `[v, w, s]` of the motion as one of a similarity: tracking does not measure scale.
+    /// Covariance `[v, w, s]` of the motion as one of a similarity: tracking does not measure
+    /// scale.
     pub(super) fn covariance(&self) -> Mat7 {
         let mut covariance = Mat7::zeros();
         covariance
@@ -82,8 +83,8 @@ impl KeyframeGraph {
         self.set_edge((i, j, EdgeKind::Sparse), i_from_j, information, CERTAIN);
     }
 
-    /// Adds the edge of two keyframes that were recognised and aligned: it is right unless it contradicts what
-    /// drift can do.
+    /// Adds the edge of two keyframes that were recognised and aligned: it is right unless it
+    /// contradicts what drift can do.
     pub(super) fn close_loop(
         &mut self,
         i: KeyframeId,
@@ -95,7 +96,8 @@ impl KeyframeGraph {
         self.stats.loop_closures += 1;
     }
 
-    /// Adds what direct alignment of two keyframes says; `is_certain` where only single large errors of it can be wrong.
+    /// Adds what direct alignment of two keyframes says; `is_certain` where only single large
+    /// errors of it can be wrong.
     pub(super) fn set_direct_edge(
         &mut self,
         i: KeyframeId,
@@ -116,7 +118,8 @@ impl KeyframeGraph {
         self.set_edge(key, constraint.b_from_a, information, kernel);
     }
 
-    /// Information of a relative pose when the errors that its residuals do not show are counted too.
+    /// Information of a relative pose when the errors that its residuals do not show are counted
+    /// too.
     pub(super) fn with_model_error(&self, mut covariance: Mat7, i_from_j: &Sim3) -> Option<Mat7> {
         let moved = i_from_j.translation.norm() * DIRECT_TRANSLATION_SHARE;
         let translation_var = DIRECT_TRANSLATION_SIGMA.powi(2) + moved * moved;
@@ -138,18 +141,18 @@ impl KeyframeGraph {
         RobustKernel::DynamicCovariance { phi: SWITCH_CHI_SQ }
     }
 
-    /// Whether the poses of two keyframes differ from a measurement by more than drift is at least. A loop that
-    /// agrees with them would not correct anything but tie keyframes together that see each other from far
-    /// away, where direct alignment is worse than what holds them: in a room that is in view all the time
-    /// such edges make the poses worse.
+    /// Whether the poses of two keyframes differ from a measurement by more than drift is at least.
+    /// A loop that agrees with them would not correct anything but tie keyframes together that see
+    /// each other from far away, where direct alignment is worse than what holds them: in a room
+    /// that is in view all the time such edges make the poses worse.
     pub(super) fn is_drift(&self, i: KeyframeId, j: KeyframeId, i_from_j: &Sim3) -> bool {
         let error = self.contradiction(i, j, i_from_j);
         !self.config.places.drift.explains(&error, Way::default())
     }
 
-    /// Whether the poses of two keyframes differ from a measurement by no more than tracking drifts between
-    /// them. The edges of the graph expect less: a loop that corrects drift contradicts them, and would be
-    /// switched off as if it were wrong.
+    /// Whether the poses of two keyframes differ from a measurement by no more than tracking drifts
+    /// between them. The edges of the graph expect less: a loop that corrects drift contradicts
+    /// them, and would be switched off as if it were wrong.
     pub(super) fn can_have_drifted(&self, i: KeyframeId, j: KeyframeId, i_from_j: &Sim3) -> bool {
         let error = self.contradiction(i, j, i_from_j);
         self.config.places.drift.explains(&error, self.way(i, j))
@@ -199,11 +202,11 @@ impl Add for Way {
 }
 
 impl DriftConfig {
-    /// Whether drift over a way can be as large as `error`, the logarithm of the similarity between what was
-    /// measured and what was expected.
+    /// Whether drift over a way can be as large as `error`, the logarithm of the similarity between
+    /// what was measured and what was expected.
     ///
-    /// Successive errors have common causes (calibration, the scale of what is seen), so drift grows with the
-    /// way, not with its root as the edges of the graph would have it.
+    /// Successive errors have common causes (calibration, the scale of what is seen), so drift
+    /// grows with the way, not with its root as the edges of the graph would have it.
     pub(super) fn explains(&self, error: &Vec7, way: Way) -> bool {
         let (translation, rotation) = (error.fixed_rows::<3>(0), error.fixed_rows::<3>(3));
         translation.norm() <= self.translation_start + self.translation_share * way.length

@@ -1,12 +1,13 @@
 //! When a fragment of the map becomes a part of another.
 //!
-//! A *sighting* is a keyframe that was recognised in another fragment, verified by points in both directions.
-//! Each says where one fragment lies in the other, with its scale. A single one may be wrong (rooms that look
-//! alike): fragments are joined when several keyframes agree, one of them aligned directly, and more of them
-//! than contradict.
+//! A *sighting* is a keyframe that was recognised in another fragment, verified by points in both
+//! directions. Each says where one fragment lies in the other, with its scale. A single one may be
+//! wrong (rooms that look alike): fragments are joined when several keyframes agree, one of them
+//! aligned directly, and more of them than contradict.
 //!
-//! The fragment that began later is moved by one similarity, and with its keyframes all that is known relative to them. Sightings that
-//! were aligned become loops. The first keyframes of a random start, whose shape is not reliable yet, never decide.
+//! The fragment that began later is moved by one similarity, and with its keyframes all that is
+//! known relative to them. Sightings that were aligned become loops. The first keyframes of a
+//! random start, whose shape is not reliable yet, never decide.
 
 use super::KeyframeGraph;
 use crate::graph::job::Joined;
@@ -63,8 +64,8 @@ impl KeyframeGraph {
         is_settled(own) && is_settled(other)
     }
 
-    /// Remembers that a keyframe was recognised in another fragment: by points, and by direct alignment unless
-    /// that failed.
+    /// Remembers that a keyframe was recognised in another fragment: by points, and by direct
+    /// alignment unless that failed.
     pub(super) fn add_sighting(
         &mut self,
         other: KeyframeId,
@@ -79,8 +80,8 @@ impl KeyframeGraph {
         self.sightings.push(sighting);
     }
 
-    /// Joins fragments about which the sightings of keyframe `own` are confirmed by those of others; whether
-    /// there were any.
+    /// Joins fragments about which the sightings of keyframe `own` are confirmed by those of
+    /// others; whether there were any.
     pub(super) fn join_fragments(&mut self, own: KeyframeId) -> bool {
         let mut has_joined = false;
         while let Some(agreeing) = self.confirmed(own) {
@@ -90,7 +91,8 @@ impl KeyframeGraph {
         has_joined
     }
 
-    /// The sightings that agree with one of keyframe `own`, one that was aligned first, if they are enough.
+    /// The sightings that agree with one of keyframe `own`, one that was aligned first, if they are
+    /// enough.
     fn confirmed(&self, own: KeyframeId) -> Option<Vec<Sighting>> {
         let candidates = self.sightings.iter().filter(|s| s.own == own);
         candidates.into_iter().find_map(|sighting| {
@@ -128,8 +130,8 @@ impl KeyframeGraph {
         }
     }
 
-    /// Whether two sightings of the same fragments say the same, but for what drift can do on the ways between
-    /// their keyframes in both fragments, and for the errors of recognition.
+    /// Whether two sightings of the same fragments say the same, but for what drift can do on the
+    /// ways between their keyframes in both fragments, and for the errors of recognition.
     pub(super) fn agree(&self, a: &Sighting, b: &Sighting) -> bool {
         let others_from_owns = self.fragment_from_other(self.fragment_of(b.other), a);
         let world_from = |id: KeyframeId| self.pose(id);
@@ -147,8 +149,8 @@ impl KeyframeGraph {
         drift.explains(&error, way)
     }
 
-    /// Moves the newer fragment of agreeing sightings to where the first of them has it in the older one, and
-    /// holds it there by all that were aligned.
+    /// Moves the newer fragment of agreeing sightings to where the first of them has it in the
+    /// older one, and holds it there by all that were aligned.
     pub(super) fn join(&mut self, agreeing: &[Sighting]) {
         let Some(first) = agreeing.first() else {
             return;

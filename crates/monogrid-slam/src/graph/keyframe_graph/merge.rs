@@ -1,9 +1,12 @@
-//! Fragments that were recorded apart, joined all at once: runs of different days and cameras that show the same places.
+//! Fragments that were recorded apart, joined all at once: runs of different days and cameras that
+//! show the same places.
 //!
-//! While a run goes on a fragment is joined as soon as a few sightings agree. Here nobody waits, so all are known first: every keyframe is
-//! looked up in every other fragment, and what is found for two fragments is divided into sets of sightings that are consistent with each
-//! other pair by pair (Mangelson et al., *Pairwise consistent measurement set maximization*, ICRA 2018). The two fragments with the largest
-//! set are joined first; where they lie then decides what is consistent about the others.
+//! While a run goes on a fragment is joined as soon as a few sightings agree. Here nobody waits, so
+//! all are known first: every keyframe is looked up in every other fragment, and what is found for
+//! two fragments is divided into sets of sightings that are consistent with each other pair by pair
+//! (Mangelson et al., *Pairwise consistent measurement set maximization*, ICRA 2018). The two
+//! fragments with the largest set are joined first; where they lie then decides what is consistent
+//! about the others.
 
 use super::KeyframeGraph;
 use super::constrain::MAX_LOOPS;
@@ -16,8 +19,8 @@ use rayon::prelude::*;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Sightings of two fragments that are compared with each other at most, evenly chosen: the largest consistent set takes time with their
-/// cube.
+/// Sightings of two fragments that are compared with each other at most, evenly chosen: the largest
+/// consistent set takes time with their cube.
 const MAX_COMPARED: usize = 240;
 
 /// Two fragments, and the largest set of sightings that agree about them.
@@ -27,8 +30,8 @@ struct Consistent {
 }
 
 impl KeyframeGraph {
-    /// Joins all fragments that show the same places, and moves the keyframes to where the edges of all of them have them. Also says what
-    /// each two fragments had in common before.
+    /// Joins all fragments that show the same places, and moves the keyframes to where the edges of
+    /// all of them have them. Also says what each two fragments had in common before.
     pub(crate) fn merge(&mut self, config: &MergeConfig) -> (GraphUpdate, Vec<Meeting>) {
         self.active = self.poses.fragment.iter().copied().collect();
         self.sightings = self.meet();
@@ -66,8 +69,8 @@ impl KeyframeGraph {
         sightings
     }
 
-    /// The keyframes of a fragment that show what keyframe `id` of another one shows: the older and the newer of the two, and
-    /// `older_from_newer`.
+    /// The keyframes of a fragment that show what keyframe `id` of another one shows: the older and
+    /// the newer of the two, and `older_from_newer`.
     fn recognise(
         &self,
         id: KeyframeId,
@@ -153,8 +156,8 @@ impl KeyframeGraph {
     }
 }
 
-/// The largest set of `nodes` that are all linked to each other, as far as it is found by taking each node as the first and adding
-/// those with most links one after the other.
+/// The largest set of `nodes` that are all linked to each other, as far as it is found by taking
+/// each node as the first and adding those with most links one after the other.
 fn largest_clique(is_linked: &[Vec<bool>], nodes: &[usize]) -> Vec<usize> {
     let degree = |i: usize| nodes.iter().filter(|j| is_linked[i][**j]).count();
     let mut order = nodes.to_vec();

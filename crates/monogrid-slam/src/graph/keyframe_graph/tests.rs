@@ -171,7 +171,8 @@ fn a_keyframe_of_another_room_is_not_constrained() {
     );
 }
 
-/// Keyframes of one room as two fragments, the second in a world of its own; what comes of the last job.
+/// Keyframes of one room as two fragments, the second in a world of its own; what comes of the last
+/// job.
 fn two_fragments(config: FragmentConfig) -> (GraphUpdate, Vec<Sim3>, Sim3) {
     let sequence = small_demo();
     let camera = sequence.camera();
@@ -280,7 +281,8 @@ fn two_keyframes() -> KeyframeGraph {
     graph
 }
 
-/// A measurement of the second keyframe in the first that is off by this much along the way, and very sure.
+/// A measurement of the second keyframe in the first that is off by this much along the way, and
+/// very sure.
 fn measured(graph: &KeyframeGraph, off: f64) -> SimilarityConstraint {
     let error = Vec7::from_column_slice(&[off, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
     SimilarityConstraint {

@@ -1,7 +1,7 @@
 //! Depth where a keyframe has none, from keyframes that see the same.
 //!
-//! A table top that is too plain for stereo from here may have been measured from there. What the first surface on the line of sight of a
-//! pixel is, other keyframes tell ([`layers`]), if
+//! A table top that is too plain for stereo from here may have been measured from there. What the
+//! first surface on the line of sight of a pixel is, other keyframes tell ([`layers`]), if
 //!
 //! * enough of them have it, and few see through it: depth spreads beyond the edges of objects, and from one side only;
 //! * the pixel looks there as they do ([`brightness`]): else something is before it that none of them has measured.
@@ -48,7 +48,8 @@ impl Default for CompletionConfig {
     }
 }
 
-/// Depth of the pixels of a keyframe that have none, as far as others have it, row-major. None without pose or image.
+/// Depth of the pixels of a keyframe that have none, as far as others have it, row-major. None
+/// without pose or image.
 pub(super) fn completed(scene: &Scene, index: usize) -> Vec<Measurement> {
     let (camera, config) = (scene.camera, &scene.config.completion);
     if config.max_witnesses == 0 {
@@ -111,7 +112,8 @@ struct Witness<'a> {
 }
 
 impl Witness<'_> {
-    /// Where it shows a pixel, and its inverse depth there over that of the pixel's point; `None` where it has none.
+    /// Where it shows a pixel, and its inverse depth there over that of the pixel's point; `None`
+    /// where it has none.
     fn ratio(&self, x: f32, y: f32, idepth: f32) -> Option<(Seen, f32)> {
         let seen = self.other_from_this.of(x, y, idepth)?;
         let (column, row) = seen.pixel();

@@ -1,26 +1,27 @@
 //! Depth of plain surfaces: planes through the depth around them.
 //!
-//! A semi-dense depth map knows depth where the image has gradients. Walls, floors and table tops are
-//! plain; seen from a robot they are most of a room, and a map without them has neither these surfaces
-//! nor the free space before them. What is known is their outline, and what is likely is that they are
-//! flat: the inverse depth of a plane is an affine function of the pixel,
+//! A semi-dense depth map knows depth where the image has gradients. Walls, floors and table tops
+//! are plain; seen from a robot they are most of a room, and a map without them has neither these
+//! surfaces nor the free space before them. What is known is their outline, and what is likely is
+//! that they are flat: the inverse depth of a plane is an affine function of the pixel,
 //!
 //! ```text
 //! d(x, y) = a x + b y + c
 //! ```
 //!
 //! Flow: **regions** of weak gradient ([`regions`]) → **planes** through the measurements along the
-//! outline of each ([`plane`], sample consensus: outlines also show what stands before the surface) →
-//! the planes of the whole image are offered to the regions that found none (tiles of one floor) → each
-//! pixel of a region gets the depth of the plane whose outline is nearest inside the region.
+//! outline of each ([`plane`], sample consensus: outlines also show what stands before the surface)
+//! → the planes of the whole image are offered to the regions that found none (tiles of one floor)
+//! → each pixel of a region gets the depth of the plane whose outline is nearest inside the region.
 //!
-//! A plane is believed if most of the outline lies on it or before it. An outline *behind* the plane
-//! contradicts it: a plain surface cannot be seen through. What outlines a wall often stands a centimetre or two before it, frames, skirtings
-//! and switches, so the surface is the hindmost layer of the points on the plane. It holds inside of the hull of the points of the outline
-//! that lie on it ([`hull`]): beyond, nobody has seen that the surface goes on; a wall that is continued behind the next one
-//! was most of the false walls. The uncertainty of a filled pixel grows with
-//! its distance from the outline as the covariance of the fit says, so far extrapolation fails the same
-//! limit as any imprecise measurement.
+//! A plane is believed if most of the outline lies on it or before it. An outline *behind* the
+//! plane contradicts it: a plain surface cannot be seen through. What outlines a wall often stands
+//! a centimetre or two before it, frames, skirtings and switches, so the surface is the hindmost
+//! layer of the points on the plane. It holds inside of the hull of the points of the outline that
+//! lie on it ([`hull`]): beyond, nobody has seen that the surface goes on; a wall that is continued
+//! behind the next one was most of the false walls. The uncertainty of a filled pixel grows with
+//! its distance from the outline as the covariance of the fit says, so far extrapolation fails the
+//! same limit as any imprecise measurement.
 //!
 //! Filled depth is for maps alone: it never enters tracking.
 
@@ -52,7 +53,8 @@ const MAX_IMAGE_PLANES: u64 = 6;
 const MAX_IMAGE_SAMPLES: usize = 300;
 /// Share of all measurements on such a plane.
 const MIN_IMAGE_SHARE: f64 = 0.05;
-/// Where the region of a measurement is looked for: offsets of this many pixels along eight directions.
+/// Where the region of a measurement is looked for: offsets of this many pixels along eight
+/// directions.
 const BORDER_OFFSETS_PX: [i32; 2] = [2, 5];
 
 /// Depth of the plain regions of a keyframe, at pixels that have none in `measured`.
@@ -114,8 +116,8 @@ pub(super) const EIGHT_DIRECTIONS: [(i32, i32); 8] = [
     (-1, -1),
 ];
 
-/// A plane, by which outlines judge, and the surface that it stands for, which lies a little behind where frames and skirtings outline
-/// it: judged by that, too little would contradict.
+/// A plane, by which outlines judge, and the surface that it stands for, which lies a little behind
+/// where frames and skirtings outline it: judged by that, too little would contradict.
 #[derive(Clone, Debug)]
 struct Candidate {
     plane: Plane,
@@ -131,8 +133,9 @@ impl Candidate {
     }
 }
 
-/// The surface of each region, and where its outline holds it: its own plane's, or one that is seen in many places, if its outline agrees
-/// with that as well as with its own: the tiles of a floor share one plane, the bricks of a wall another.
+/// The surface of each region, and where its outline holds it: its own plane's, or one that is seen
+/// in many places, if its outline agrees with that as well as with its own: the tiles of a floor
+/// share one plane, the bricks of a wall another.
 fn planes_of_regions(measured: &[Measurement], borders: &[Border]) -> Vec<Option<(Plane, Hull)>> {
     let regions = borders.iter().enumerate();
     let own: Vec<Option<Candidate>> = regions
@@ -192,7 +195,8 @@ pub(super) fn planes_of_image(measured: &[Measurement]) -> Vec<Plane> {
     (0..MAX_IMAGE_PLANES).map_while(next).collect()
 }
 
-/// The depth of all pixels of the regions that have a plane, where its outline holds it and it is certain enough.
+/// The depth of all pixels of the regions that have a plane, where its outline holds it and it is
+/// certain enough.
 fn fill(
     regions: &Regions,
     planes: &[Option<(Plane, Hull)>],

@@ -102,9 +102,10 @@ impl Plane {
         )
     }
 
-    /// Its normal, towards the keyframe, and the point at the mean of the pixels that it was fitted to, both in the world. With the
-    /// inverse depth `a x + b y + c` of the pixel, `N X = 1` holds on the plane for `N = (a fx, b fy, a cx + b cy + c)`. Not finite for
-    /// a plane through the camera.
+    /// Its normal, towards the keyframe, and the point at the mean of the pixels that it was fitted
+    /// to, both in the world. With the inverse depth `a x + b y + c` of the pixel, `N X = 1` holds
+    /// on the plane for `N = (a fx, b fy, a cx + b cy + c)`. Not finite for a plane through the
+    /// camera.
     pub fn in_world(&self, pinhole: &Pinhole, world_from_keyframe: &Sim3) -> (Vec3, Vec3) {
         let ([a, b, c], [x, y]) = (self.coefficients.into(), self.center);
         let c = c - a * x - b * y;
@@ -238,8 +239,9 @@ impl Border {
     }
 }
 
-/// The surface that a plane through its outline stands for. What stands before it, frames and skirtings, is left out by fits that weigh what is
-/// before them less; what then lies behind is noise, which is as large on either side.
+/// The surface that a plane through its outline stands for. What stands before it, frames and
+/// skirtings, is left out by fits that weigh what is before them less; what then lies behind is
+/// noise, which is as large on either side.
 fn settled(points: &[BorderPoint], plane: &Plane) -> Option<Plane> {
     let mut surface = plane.clone();
     for _ in 0..ASYMMETRIC_FITS {
@@ -302,8 +304,9 @@ fn through(points: &[BorderPoint; 3]) -> Option<Plane> {
     })
 }
 
-/// Weighted least squares. Points before the plane `side_of` weigh less than those behind it (`front_weight`; [NEWEY87]), but say as much
-/// about how certain it is. Neighbouring depths share their errors: `correlated_points` of them count as one in the covariance.
+/// Weighted least squares. Points before the plane `side_of` weigh less than those behind it
+/// (`front_weight`; [NEWEY87]), but say as much about how certain it is. Neighbouring depths share
+/// their errors: `correlated_points` of them count as one in the covariance.
 fn fitted(points: &[&BorderPoint], side_of: Option<&Plane>) -> Option<Plane> {
     let count = points.len() as f64;
     if points.len() < 3 {

@@ -23,8 +23,8 @@ pub(in crate::mapping) struct Regions {
 impl Regions {
     /// Finds the regions of an image; measured pixels belong to none.
     ///
-    /// Pixels connect over their *core*: those whose eight neighbours are plain too. A gap of two pixels
-    /// in a faint edge therefore does not join the surfaces on both sides.
+    /// Pixels connect over their *core*: those whose eight neighbours are plain too. A gap of two
+    /// pixels in a faint edge therefore does not join the surfaces on both sides.
     pub fn new<'a>(image: &Image<u8>, measured: impl IntoIterator<Item = &'a Measurement>) -> Self {
         let mut plain = plain_pixels(image, MAX_GRADIENT);
         for point in measured {

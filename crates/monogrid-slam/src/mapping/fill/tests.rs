@@ -25,8 +25,8 @@ fn is_panel(x: usize, y: usize) -> bool {
     (20..100).contains(&x) && (20..70).contains(&y)
 }
 
-/// Measurements of all pixels around the panel, of the given inverse depth, with 0.5 % of noise from a
-/// fixed sequence.
+/// Measurements of all pixels around the panel, of the given inverse depth, with 0.5 % of noise
+/// from a fixed sequence.
 fn rim(idepth: impl Fn(usize, usize) -> f64) -> Vec<Measurement> {
     let mut state = 1u32;
     let mut out = Vec::new();
@@ -98,7 +98,8 @@ fn a_wall_lies_behind_the_frames_and_skirtings_that_outline_it() {
     // one of three points; with the weight of the others it draws the plane by 0.0015 to 0.004
     let behind = error(|k| k % 3 > 0);
     assert!(behind.abs() < 0.001, "{behind}");
-    // where nothing stands before it, noise moves it by half its deviation at most, though this has no peak to come back to
+    // where nothing stands before it, noise moves it by half its deviation at most, though this has
+    // no peak to come back to
     let alone = error(|_| true);
     assert!(alone.abs() < 0.0015, "{alone}");
 }

@@ -23,8 +23,8 @@ fn input(sequence: &SynthSequence, k: usize, change: fn(GrayImage) -> GrayImage)
     }
 }
 
-/// A system that has tracked some frames in metres, and the start that it would make of those after them, which are
-/// changed first.
+/// A system that has tracked some frames in metres, and the start that it would make of those after
+/// them, which are changed first.
 fn after_a_loss(sequence: &SynthSequence, change: fn(GrayImage) -> GrayImage) -> (Slam, Started) {
     let camera = sequence.camera();
     let mask = Mask::filled(camera.width, camera.height, 255);
