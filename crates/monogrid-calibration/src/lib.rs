@@ -25,6 +25,7 @@
 mod adjust;
 mod estimate;
 mod intrinsics;
+mod motion;
 mod pieces;
 mod reconstruct;
 pub mod target;
@@ -34,4 +35,5 @@ mod triangulation;
 pub use adjust::{AdjustConfig, Adjusted, Scene, Sighting, adjust};
 pub use estimate::{Estimate, EstimateConfig, estimate_intrinsics, refine_intrinsics};
 pub use intrinsics::{Intrinsics, NUM_PARAMETERS, Parameters, Prior};
+pub use motion::{CameraMotion, MotionWatch};
 pub use tracks::{CollectorConfig, Track, TrackCollector, Window};

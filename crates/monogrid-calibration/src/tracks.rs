@@ -3,7 +3,7 @@
 use monogrid_features::{CornerConfig, TrackConfig, detect_corners, track_points};
 use monogrid_geometry::median::median;
 use monogrid_geometry::{ReadoutDirection, Vec2};
-use monogrid_image::{GrayImage, Pyramid};
+use monogrid_image::{GrayImage, Mask, Pyramid};
 use std::collections::BTreeSet;
 
 /// A corner and where it was seen.
@@ -90,6 +90,8 @@ struct Followed {
 #[derive(Debug)]
 pub struct TrackCollector {
     config: CollectorConfig,
+    /// Where corners may lie; everywhere where there is none.
+    mask: Option<Mask>,
     /// The newest view.
     view: Option<Pyramid>,
     followed: Vec<Followed>,
@@ -99,6 +101,8 @@ pub struct TrackCollector {
     begun_without: BTreeSet<usize>,
     /// Whether the newest view is the newest frame too.
     view_is_newest: bool,
+    /// How far the corners in the newest frame are from where the view before it saw them, px.
+    moves: Vec<f64>,
     open: Window,
     windows: Vec<Window>,
 }
@@ -112,14 +116,22 @@ impl TrackCollector {
     pub fn new(config: CollectorConfig) -> Self {
         Self {
             config,
+            mask: None,
             view: None,
             followed: Vec::new(),
             begun_with: 0,
             begun_without: BTreeSet::new(),
             view_is_newest: false,
+            moves: Vec::new(),
             open: Window::default(),
             windows: Vec::new(),
         }
+    }
+
+    /// With corners only where this mask of the size of the images is not 0.
+    #[must_use]
+    pub fn within(self, mask: Option<Mask>) -> Self {
+        Self { mask, ..self }
     }
 
     /// Windows that are complete.
@@ -130,6 +142,7 @@ impl TrackCollector {
 
     /// Takes the next frame; all frames of a window have one size (another one begins a new window).
     pub fn add(&mut self, image: &GrayImage) {
+        self.moves.clear();
         let frame = Pyramid::new(image.clone(), NUM_LEVELS);
         if self.open.size != (image.width(), image.height()) {
             self.close();
@@ -144,6 +157,8 @@ impl TrackCollector {
             self.close();
             return self.begin(frame);
         }
+        let moves = self.followed.iter().map(|f| (f.now - f.in_view).norm());
+        self.moves = moves.collect();
         if !self.has_moved() {
             self.view = Some(view);
             return;
@@ -154,6 +169,18 @@ impl TrackCollector {
             return self.begin(frame);
         }
         self.view = Some(frame);
+    }
+
+    /// The windows that are complete, which are gone from here then.
+    pub fn take_windows(&mut self) -> Vec<Window> {
+        std::mem::take(&mut self.windows)
+    }
+
+    /// How far the corners that the newest frame shows have moved since the view before it, px; empty where there was none, or too few
+    /// could be followed.
+    #[must_use]
+    pub fn moves(&self) -> &[f64] {
+        &self.moves
     }
 
     /// All windows.
@@ -168,7 +195,8 @@ impl TrackCollector {
         let mut window = std::mem::take(&mut self.open);
         self.view = None;
         self.followed.clear();
-        window.tracks.retain(|track| track.pixels.len() >= 3);
+        let fewest = self.config.min_views.min(3);
+        window.tracks.retain(|track| track.pixels.len() >= fewest);
         if window.num_views >= self.config.min_views {
             self.windows.push(window);
         }
@@ -191,7 +219,7 @@ impl TrackCollector {
         let wanted = self.config.max_points.saturating_sub(occupied.len());
         let corners = detect_corners(
             frame,
-            None,
+            self.mask.as_ref(),
             &occupied,
             &CornerConfig {
                 max_corners: wanted.max(1),
@@ -263,9 +291,7 @@ impl TrackCollector {
 
     /// Whether the newest frame is far enough from the newest view to become one.
     fn has_moved(&self) -> bool {
-        let followed = self.followed.iter();
-        let moves = followed.map(|followed| (followed.now - followed.in_view).norm());
-        let median = median(&mut moves.collect::<Vec<f64>>()).unwrap_or(0.0);
+        let median = median(&mut self.moves.clone()).unwrap_or(0.0);
         let longer = self.open.size.0.max(self.open.size.1) as f64;
         let survivors = self.followed.len() as f64 / self.begun_with.max(1) as f64;
         median >= self.config.view_step * longer || survivors < self.config.min_survivors

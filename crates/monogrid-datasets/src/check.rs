@@ -1,8 +1,7 @@
-//! What would hurt tracking, seen in the images alone: blur, exposure jumps, repeated frames, lack of
-//! texture, a camera that stands still.
+//! What would hurt tracking, seen in the images alone: blur, exposure jumps, repeated frames, lack of texture.
 
 use monogrid_geometry::median::median;
-use monogrid_image::{GradientImage, GrayImage, Resize, resize_area};
+use monogrid_image::{GradientImage, GrayImage};
 
 /// Gradient from which a pixel counts as textured, grey levels per px.
 const MIN_GRADIENT: f32 = 5.0;
@@ -17,10 +16,6 @@ const REPEAT_DIFFERENCE: f32 = 0.2;
 const BLUR_ABOVE_MEDIAN: f32 = 0.1;
 /// Share of pixels at the upper end of the range from which a frame is called overexposed.
 const MAX_SATURATED_SHARE: f32 = 0.2;
-/// Mean absolute change of the coarse picture within 30 frames below which the camera stands still, grey levels.
-/// A drone on the floor has 1.3, the slowest carried cameras 3.
-const STILL_CHANGE: f32 = 2.0;
-
 /// What one frame looks like.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameCheck {
@@ -34,31 +29,23 @@ pub struct FrameCheck {
     pub saturated_share: f32,
     /// Brightness over that of the frame before; `None` for the first or after a change of size.
     pub gain: Option<f32>,
-    /// Whether it shows the same picture as the frame before.
+    /// Whether it is the frame before, pixel by pixel: such frames are left out when a source is tracked.
     pub is_repeated: bool,
-    /// Mean absolute difference of the coarse picture (64 px wide) to that of an earlier frame, at most 29 before, grey
-    /// levels; 0 for the frames that others are compared with.
-    pub change: f32,
+    /// Whether it shows the picture of the frame before, encoded once more.
+    pub is_nearly_repeated: bool,
 }
 
 /// Checks frames one after the other.
 #[derive(Clone, Debug, Default)]
 pub struct FrameChecker {
     previous: Option<GrayImage>,
-    /// The coarse picture that others are compared with, and how many were.
-    anchor: Option<(GrayImage, usize)>,
 }
-
-/// Width of coarse pictures, px: what moves by less than a tenth of their pixels hardly shows.
-const COARSE_WIDTH: usize = 64;
-
-/// Frames that are compared with the same one, with it.
-const FRAMES_PER_ANCHOR: usize = 30;
 
 impl FrameChecker {
     /// Checks the next frame.
     pub fn check(&mut self, image: &GrayImage) -> FrameCheck {
         let before = self.previous.as_ref().filter(|p| p.same_size(image));
+        let difference = before.map(|before| mean_difference(before, image));
         let magnitude = GradientImage::new(image).magnitude();
         let check = FrameCheck {
             blur: blur(image),
@@ -66,28 +53,11 @@ impl FrameChecker {
             textured_share: share(&magnitude, |m| m >= MIN_GRADIENT),
             saturated_share: share(image, |v| v >= 253.0),
             gain: before.and_then(|p| brightness_gain(p, image)),
-            is_repeated: before.is_some_and(|p| mean_difference(p, image) < REPEAT_DIFFERENCE),
-            change: self.change(image),
+            is_repeated: difference == Some(0.0),
+            is_nearly_repeated: difference.is_some_and(|d| d > 0.0 && d < REPEAT_DIFFERENCE),
         };
         self.previous = Some(image.clone());
         check
-    }
-
-    /// How much the coarse picture differs from the anchor.
-    fn change(&mut self, image: &GrayImage) -> f32 {
-        let (width, height) = (COARSE_WIDTH, COARSE_WIDTH * image.height());
-        let height = height.div_ceil(image.width().max(1));
-        let coarse = resize_area(image, Resize { width, height });
-        match &mut self.anchor {
-            Some((anchor, count)) if *count < FRAMES_PER_ANCHOR && anchor.same_size(&coarse) => {
-                *count += 1;
-                mean_difference(anchor, &coarse)
-            }
-            anchor => {
-                *anchor = Some((coarse, 1));
-                0.0
-            }
-        }
     }
 }
 
@@ -164,8 +134,10 @@ fn share(image: &GrayImage, condition: impl Fn(f32) -> bool) -> f32 {
 pub struct SequenceCheck {
     /// Frames that were checked.
     pub num_frames: usize,
-    /// Positions of frames that repeat their predecessor.
+    /// Positions of frames that repeat their predecessor pixel by pixel.
     pub repeated: Vec<usize>,
+    /// Positions of frames that show the picture of their predecessor, encoded once more.
+    pub nearly_repeated: Vec<usize>,
     /// Positions and gains of exposure jumps.
     pub exposure_jumps: Vec<(usize, f32)>,
     /// Positions of frames that are more blurred than the others.
@@ -178,12 +150,7 @@ pub struct SequenceCheck {
     pub median_blur: f32,
     /// Median share of textured pixels.
     pub median_textured_share: f32,
-    /// Whether the camera stands still from the first frame to the last.
-    pub is_still: bool,
 }
-
-/// Fewest frames after which a camera can be said to stand still.
-const MIN_STILL_FRAMES: usize = 15;
 
 impl SequenceCheck {
     /// Gathers the checks of the frames of a sequence in their order.
@@ -197,24 +164,24 @@ impl SequenceCheck {
         let is_jump = |gain: &f32| gain.max(1.0 / gain) >= EXPOSURE_JUMP;
         let jumps = frames.iter().enumerate();
         let jumps = jumps.filter_map(|(i, f)| Some((i, f.gain.filter(is_jump)?)));
-        let is_still = frames.iter().all(|f| f.change < STILL_CHANGE);
         Self {
             num_frames: frames.len(),
             repeated: positions(&|f| f.is_repeated),
+            nearly_repeated: positions(&|f| f.is_nearly_repeated),
             exposure_jumps: jumps.collect(),
             blurred: positions(&|f| f.blur > median_blur + BLUR_ABOVE_MEDIAN),
             plain: positions(&|f| f.textured_share < MIN_TEXTURED_SHARE),
             overexposed: positions(&|f| f.saturated_share > MAX_SATURATED_SHARE),
             median_blur,
             median_textured_share: median_of(frames.iter().map(|f| f.textured_share)),
-            is_still: frames.len() >= MIN_STILL_FRAMES && is_still,
         }
     }
 
     /// Sentences for people about what would hurt tracking; none when nothing would.
     #[must_use]
     pub fn findings(&self) -> Vec<String> {
-        let repeated = "repeat the picture before them (motion looks jerky)";
+        let repeated = "repeat the one before and are left out (motion looks jerky)";
+        let nearly = "show the picture before them once more, encoded anew (motion looks jerky)";
         let jumping = "change in brightness abruptly (lock the exposure if you can)";
         let blurred = "are clearly more blurred than the others (move slower, or more light)";
         let plain = "have hardly any texture (tracking needs edges)";
@@ -226,17 +193,15 @@ impl SequenceCheck {
                 "{count} of {all} frames {what}, first frame {first}"
             ))
         };
-        let lists: [(&[usize], &str); 5] = [
+        let lists: [(&[usize], &str); 6] = [
             (&self.repeated, repeated),
+            (&self.nearly_repeated, nearly),
             (&jumps, jumping),
             (&self.blurred, blurred),
             (&self.plain, plain),
             (&self.overexposed, "are overexposed"),
         ];
-        let still = self.is_still.then(|| {
-            "the picture hardly changes: the camera stands still, and depth needs one that moves sideways".to_owned()
-        });
-        lists.into_iter().filter_map(finding).chain(still).collect()
+        lists.into_iter().filter_map(finding).collect()
     }
 }
 

@@ -9,6 +9,7 @@
 //! * [`RecordingWriter`] and [`Recording`] write and read `.mgk` files, [`ScansReader`] reads `.scans`.
 //! * [`SubmapBuilder`], [`SubmapReader`] and [`SubmapTable`] are the same in pieces that never change, `.mgs`.
 //! * [`FrameChecker`] and [`SequenceCheck`] say what in the images would hurt tracking.
+//! * [`FixedPartFinder`] finds what of the picture is fixed to the camera.
 //! * [`write_atomically`] replaces files whole or not at all.
 //!
 //! Everything that comes from outside is checked: bad input is an error that names the file, what
@@ -22,6 +23,7 @@ mod calibration;
 mod check;
 mod error;
 mod files;
+mod fixed;
 mod images;
 mod imu;
 mod printable;
@@ -38,6 +40,7 @@ pub use calibration::{Calibration, read_photometric, read_response, read_vignett
 pub use check::{FrameCheck, FrameChecker, SequenceCheck, blur};
 pub use error::DatasetError;
 pub use files::{open_file, read_file};
+pub use fixed::{FixedPart, FixedPartFinder, Rectangle};
 pub use images::{
     DepthCalibration, DepthRegistration, Levels, PixelBudget, TUM_UNITS_PER_METRE, TooManyPixels,
     decode_depth, decode_gray, decode_jpeg_luma, decode_jpeg_rgb, encode_jpeg, encode_jpeg_rgb,

@@ -359,6 +359,23 @@ pub fn resize_area(image: &GrayImage, size: Resize) -> GrayImage {
     averages(image, size)
 }
 
+/// The mask at another size: each pixel is the one of the mask that lies in its middle.
+#[must_use]
+pub fn resize_mask(mask: &Mask, size: Resize) -> Mask {
+    let mut output = Mask::filled(size.width, size.height, 0);
+    if mask.data.is_empty() {
+        return output;
+    }
+    let middle = |at: usize, of: usize, from: usize| (2 * at + 1) * from / (2 * of);
+    for y in 0..size.height {
+        let row = mask.row(middle(y, size.height, mask.height));
+        for (x, pixel) in output.row_mut(y).iter_mut().enumerate() {
+            *pixel = row[middle(x, size.width, mask.width)];
+        }
+    }
+    output
+}
+
 for_lanes! {
     fn averages = averages_with, (image: &GrayImage, size: Resize) -> GrayImage;
 }

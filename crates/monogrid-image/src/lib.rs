@@ -13,7 +13,7 @@ mod undistort;
 
 pub use buffer::{
     GrayImage, Image, Mask, Resize, bicubic, bilinear, bilinear_inside, luma_of_rgb, resize_area,
-    to_gray8,
+    resize_mask, to_gray8,
 };
 pub use gradient::{GradientImage, max_gradient};
 pub use photometric::{Photometric, PhotometricError};

@@ -87,32 +87,3 @@ fn a_change_of_size_is_no_repeat_and_no_jump() {
     let (frames, _) = check(&[scene(0.0), GrayImage::filled(10, 10, 50.0), scene(0.0)]);
     assert!(frames.iter().all(|f| f.gain.is_none() && !f.is_repeated));
 }
-
-#[test]
-fn a_camera_that_stands_still_is_named() {
-    let noisy = |k: usize, image: GrayImage| {
-        let (width, height) = (image.width(), image.height());
-        GrayImage::from_fn(width, height, |x, y| {
-            image.at(x, y) + ((x * 31 + y * 17 + k * 13) % 7) as f32 - 3.0
-        })
-    };
-    let says = |shift: f32, count: usize| {
-        let images: Vec<GrayImage> = (0..count)
-            .map(|k| noisy(k, scene(shift * k as f32)))
-            .collect();
-        let (_, sequence) = check(&images);
-        let found = sequence
-            .findings()
-            .iter()
-            .any(|f| f.contains("stands still"));
-        assert_eq!(found, sequence.is_still);
-        found
-    };
-    assert!(says(0.0, 70));
-    assert!(!says(0.0, 14), "too few to say");
-    assert!(!says(0.3, 70));
-    // one that stands still at first
-    let mut images: Vec<GrayImage> = (0..60).map(|k| noisy(k, scene(0.0))).collect();
-    images.extend((0..20).map(|k| scene(k as f32)));
-    assert!(!check(&images).1.is_still);
-}
