@@ -4,8 +4,7 @@ use crate::input::{Images, Input};
 use crate::map_camera::{TakenOut, as_calibrated, left_radial_by_map, shown_by_map};
 use crate::self_calibration::{Expected, estimate, windows_of};
 use monogrid_calibration::Estimate;
-use monogrid_geometry::{Camera, Pinhole, ReadoutDirection, Vec2, Vec3};
-use monogrid_image::GrayImage;
+use monogrid_geometry::{Camera, Pinhole, Vec2, Vec3};
 use monogrid_slam::{KeptKeyframe, Slam};
 
 /// Windows and frames that are looked at.
@@ -100,7 +99,7 @@ impl<'a> CalibrationCheck<'a> {
             Some(input) if self.doubts.is_empty() => {
                 let shown = by_map(slam, taken_out);
                 if says_too_little(&shown, share_with_pose) && input.is_repeatable() {
-                    return doubts(input.lens(), input.images_again());
+                    return doubts(input);
                 }
                 against(input, &shown)
             }
@@ -130,7 +129,7 @@ fn against(input: &Input, shown: &Estimate) -> Vec<String> {
     }
     let ratio = shown.intrinsics.focal / given;
     if input.is_repeatable() {
-        return doubts(input.lens(), input.images_again());
+        return doubts(input);
     }
     vec![format!(
         "the calibration does not fit what was seen: with another focal length (about {ratio:.2} times the given one) and \
@@ -165,15 +164,14 @@ fn is_comparable(given: &Camera) -> bool {
 }
 
 /// What the images say against a calibration that was given, in sentences with the better value.
-pub fn doubts(
-    (given, direction): (&Camera, ReadoutDirection),
-    images: impl Iterator<Item = GrayImage>,
-) -> Vec<String> {
+pub fn doubts(input: &Input) -> Vec<String> {
+    let (given, direction) = input.lens();
     let size = (given.width, given.height);
     let Some((focal, centre)) = middle(given).filter(|_| is_comparable(given)) else {
         return Vec::new();
     };
-    let windows = windows_of(images.take(MAX_FRAMES), (size, direction), MAX_WINDOWS);
+    let images = input.images_again().take(MAX_FRAMES);
+    let windows = windows_of(images, ((size, direction), input.fixed_mask()), MAX_WINDOWS);
     if windows.is_empty() {
         return Vec::new();
     }

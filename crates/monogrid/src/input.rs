@@ -6,10 +6,12 @@ use crate::frame_colours::FrameColours;
 use crate::image_files::read_files;
 use crate::interrupt::is_interrupted;
 use crate::readings::Inertial;
+use crate::seen::{self, Motion};
 use crate::self_calibration::{Expected, OwnCalibration};
 use crate::video_source::{VideoItem, VideoSource, check_topic, is_video};
+use monogrid_calibration::CameraMotion;
 use monogrid_datasets::{
-    Calibration, Dataset, FrameEntry, Levels, SourceOptions, read_gray_in, read_mask,
+    Calibration, Dataset, FixedPart, FrameEntry, Levels, SourceOptions, read_gray_in, read_mask,
     read_photometric,
 };
 use monogrid_geometry::{Camera, Pinhole, ReadoutDirection, Se3};
@@ -51,6 +53,14 @@ impl Images {
             }
             Self::Video(video) => video.frames(colours),
             Self::Rendered(_) => Box::new(std::iter::empty()),
+        }
+    }
+
+    /// Whether they can be read more than once.
+    fn is_repeatable(&self) -> bool {
+        match self {
+            Self::Files(_) | Self::Rendered(_) => true,
+            Self::Video(video) => video.is_file,
         }
     }
 
@@ -191,40 +201,58 @@ impl RawInput {
         }
     }
 
-    /// The camera that the images show.
-    fn own_calibration(&self, shape: Shape) -> Result<OwnCalibration, Failure> {
-        let unknown = match &self.images {
-            Images::Video(video) if !video.is_file => {
-                return Err(no_calibration(
-                    "no calibration: what is seen only once cannot show its camera first",
-                ));
-            }
-            Images::Files(dataset) => format!(
-                "no calibration in {}: expected calibration.toml or calibration.txt there (one \
-                 line `fx fy cx cy width height`, in pixels)",
-                dataset.root.display()
-            ),
-            _ => "no calibration, and the video does not show it".to_owned(),
-        };
+    /// The camera that the images show; where they do not, an ordinary one, and why.
+    fn own_calibration(
+        &self,
+        shape: Shape,
+        fixed: Option<&FixedPart>,
+    ) -> Result<OwnCalibration, Failure> {
         let first = self.frames.first();
         let expected = first.map_or(Expected::ORDINARY, |frame| {
             Expected::of_image(&frame.path, shape.0)
         });
+        let expected = expected.within(fixed.map(|fixed| fixed.picture), shape.0);
+        let assumed = |reason: &str| {
+            OwnCalibration::assumed(shape.0, &expected, reason)
+                .ok_or_else(|| no_calibration("no calibration"))
+        };
+        if !self.images.is_repeatable() {
+            return assumed("what is seen only once cannot show its camera first");
+        }
         let mut broke_off = None;
         let source = (self.frames.as_slice(), &self.reading);
         let images = self
             .images
             .readable(source, |reason| broke_off = Some(reason));
-        let own = OwnCalibration::from_images(images, shape, &expected);
+        let mask = fixed.map(|fixed| &fixed.mask);
+        let own = OwnCalibration::from_images(images, (shape, mask), &expected);
         if is_interrupted() {
             // nothing will be tracked with it
-            let assumed = OwnCalibration::assumed(shape.0, &expected);
-            return assumed.ok_or(Failure::Interrupted);
+            return assumed("nobody waited").map_err(|_| Failure::Interrupted);
         }
-        own.ok_or_else(|| match broke_off {
-            Some(reason) => Failure::running(reason),
-            None => no_calibration(&unknown),
-        })
+        match (own, broke_off) {
+            (Ok(own), _) => Ok(own),
+            (Err(_), Some(reason)) => Err(Failure::running(reason)),
+            (Err(reason), None) => assumed(&reason),
+        }
+    }
+
+    /// What of the picture is fixed to the camera; nothing of what is seen only once, or is rendered.
+    fn fixed_part(&self, size: (usize, usize)) -> Option<FixedPart> {
+        let source = (self.frames.as_slice(), &self.reading);
+        match &self.images {
+            Images::Files(_) => {
+                let sampled = seen::sampled(self.frames.len());
+                let frames: Vec<FrameEntry> = sampled.map(|at| self.frames[at].clone()).collect();
+                let images = self.images.readable((&frames, &self.reading), |_| {});
+                seen::fixed_in(size, images.map(|(_, image)| image))
+            }
+            Images::Video(video) if video.is_file => {
+                let images = self.images.readable(source, |_| {});
+                seen::fixed_in_video(size, images.map(|(_, image)| image))
+            }
+            Images::Video(_) | Images::Rendered(_) => None,
+        }
     }
 }
 
@@ -250,10 +278,23 @@ pub struct Input {
     pub is_shutter_known: bool,
     /// The inertial sensor beside the camera, where there is one.
     pub inertial: Option<Inertial>,
+    /// What of the picture is fixed to the camera.
+    pub fixed: Option<FixedPart>,
+    /// How the camera moves, where somebody has looked.
+    pub motion: Option<Motion>,
     /// What looked odd, in sentences for people.
     pub warnings: Vec<String>,
     /// How it is read.
     pub reading: Reading,
+}
+
+/// What a source knows of its camera at some time.
+#[derive(Debug)]
+pub struct CameraOfInput {
+    interpretation: String,
+    own_calibration: Option<OwnCalibration>,
+    preparation: Preparation,
+    warnings: Vec<String>,
 }
 
 impl Input {
@@ -265,7 +306,9 @@ impl Input {
         if let (Some(calibration), Images::Video(video)) = (&mut given, &raw.images) {
             make_square(calibration, video);
         }
-        let known = known_camera(given, args, size, || raw.own_calibration((size, direction)))?;
+        let fixed = raw.fixed_part(size);
+        let from_images = || raw.own_calibration((size, direction), fixed.as_ref());
+        let known = known_camera(given, args, size, from_images)?;
         let dataset = raw.dataset();
         let photometric = dataset.map_or_else(
             || Ok(Photometric::default()),
@@ -274,7 +317,7 @@ impl Input {
                 read_photometric(dataset.response_path.as_deref(), vignette).bad_input()
             },
         )?;
-        let preparation = preparation(&known, (args, usual), photometric)?;
+        let preparation = preparation(&known, (args, usual, fixed.as_ref()), photometric)?;
         let (inertial, no_readings) = readings(&raw, args, known.body_from_camera)?;
         let mut warnings = match &raw.images {
             Images::Files(dataset) => dataset.warnings.clone(),
@@ -282,6 +325,7 @@ impl Input {
             Images::Rendered(_) => Vec::new(),
         };
         warnings.extend(known.warnings);
+        warnings.extend(fixed.as_ref().map(FixedPart::finding));
         warnings.extend(no_readings);
         Ok(Self {
             name: raw.name,
@@ -292,6 +336,8 @@ impl Input {
             preparation: preparation.with_readout_direction(direction),
             is_shutter_known: known.readout_ms.is_some(),
             inertial,
+            fixed,
+            motion: None,
             warnings,
             reading: raw.reading,
         })
@@ -316,6 +362,8 @@ impl Input {
             preparation: Preparation::new(&camera, size, None, Photometric::default()),
             is_shutter_known: true,
             inertial: None,
+            fixed: None,
+            motion: None,
             warnings: Vec::new(),
             reading: Reading::default(),
         }
@@ -329,7 +377,7 @@ impl Input {
     /// The same with their times, ns.
     pub fn timed_images_again(&self) -> Box<dyn Iterator<Item = (i64, GrayImage)> + '_> {
         match &self.images {
-            Images::Video(video) if !video.is_file => Box::new(std::iter::empty()),
+            images if !images.is_repeatable() => Box::new(std::iter::empty()),
             images => {
                 let source = (self.frames.as_slice(), &self.reading);
                 // a run that needs what is missing says it
@@ -340,10 +388,25 @@ impl Input {
 
     /// Whether its images can be read more than once.
     pub fn is_repeatable(&self) -> bool {
-        match &self.images {
-            Images::Files(_) | Images::Rendered(_) => true,
-            Images::Video(video) => video.is_file,
+        self.images.is_repeatable()
+    }
+
+    /// What is known of the camera, to [return](Self::return_to_camera) to it.
+    pub fn known_camera(&self) -> CameraOfInput {
+        CameraOfInput {
+            interpretation: self.interpretation.clone(),
+            own_calibration: self.own_calibration.clone(),
+            preparation: self.preparation.clone(),
+            warnings: self.warnings.clone(),
         }
+    }
+
+    /// Takes the camera that was [known](Self::known_camera) before.
+    pub fn return_to_camera(&mut self, known: CameraOfInput) {
+        self.interpretation = known.interpretation;
+        self.own_calibration = known.own_calibration;
+        self.preparation = known.preparation;
+        self.warnings = known.warnings;
     }
 
     /// Takes another camera for images of the same size.
@@ -379,6 +442,17 @@ impl Input {
     /// The camera of the images, and which way a rolling shutter runs over them.
     pub fn lens(&self) -> (&Camera, ReadoutDirection) {
         (self.camera(), self.preparation.readout_direction())
+    }
+
+    /// How the camera moves, where that is why there can be no map.
+    pub fn no_map(&self) -> Option<CameraMotion> {
+        let did = self.motion.map(|motion| motion.did);
+        did.filter(|did| seen::no_map(*did).is_some())
+    }
+
+    /// Pixels of the images that are not fixed to the camera, where some are.
+    pub fn fixed_mask(&self) -> Option<&Mask> {
+        self.fixed.as_ref().map(|fixed| &fixed.mask)
     }
 
     /// The working image of a frame.
@@ -605,11 +679,12 @@ fn no_calibration(reason: &str) -> Failure {
 /// From images of this camera to working images.
 fn preparation(
     known: &KnownCamera,
-    (args, usual): (&SourceArgs, WorkingSize),
+    (args, usual, fixed): (&SourceArgs, WorkingSize, Option<&FixedPart>),
     photometric: Photometric,
 ) -> Result<Preparation, Failure> {
     let camera = &known.camera;
-    let mask = user_mask(args.mask.as_deref(), (camera.width, camera.height))?;
+    let users = user_mask(args.mask.as_deref(), (camera.width, camera.height))?;
+    let mask = both(users, fixed.map(|fixed| &fixed.mask));
     let size = match args.size {
         None => usual,
         Some((width, height)) => WorkingSize::Exact { width, height },
@@ -671,6 +746,19 @@ fn make_square(calibration: &mut Calibration, video: &VideoSource) {
         "calibration {} is for the images as they are stored, {stored_width}x{stored_height}: it was stretched with them",
         calibration.path.display()
     ));
+}
+
+/// What both masks leave.
+fn both(users: Option<Mask>, fixed: Option<&Mask>) -> Option<Mask> {
+    let (Some(mut mask), Some(fixed)) = (users.clone(), fixed) else {
+        return users.or(fixed.cloned());
+    };
+    for y in 0..mask.height() {
+        for (pixel, fixed) in mask.row_mut(y).iter_mut().zip(fixed.row(y)) {
+            *pixel = (*pixel).min(*fixed);
+        }
+    }
+    Some(mask)
 }
 
 fn user_mask(

@@ -97,6 +97,7 @@ mod parts {
     pub mod report;
     pub mod rolling;
     pub mod run;
+    pub mod seen;
     pub mod self_calibration;
     pub mod surface;
     pub mod sweep;

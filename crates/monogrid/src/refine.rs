@@ -34,7 +34,8 @@ pub fn refine(input: &mut Input, config: &RunConfig) -> Result<(), Failure> {
     {
         input.preparation = input.preparation.clone().with_readout_ms(readout_ms);
     }
-    let (mut slam, num_frames) = first_pass(input, config)?;
+    let (mut slam, posed) = first_pass(input, config, MAX_FRAMES)?;
+    let num_frames = posed.len();
     if is_interrupted() {
         return Ok(());
     }
@@ -42,13 +43,45 @@ pub fn refine(input: &mut Input, config: &RunConfig) -> Result<(), Failure> {
     let preparation = &input.preparation;
     let taken_out = TakenOut::always(preparation.readout_ms(), preparation.readout_direction());
     let refined = match &input.own_calibration {
-        Some(own) => refined_own((&slam, &taken_out), &own.camera, input.size(), num_frames),
+        Some(own) => refined_own((&slam, &taken_out), &own.camera, input, num_frames),
         None => refined_given((&slam, &taken_out), input),
     };
-    if let Some(refined) = refined {
-        input.take_camera(refined.reading_for(input.preparation.readout_ms()));
+    let Some(refined) = refined else {
+        return Ok(());
+    };
+    let before = input.known_camera();
+    input.take_camera(refined.reading_for(input.preparation.readout_ms()));
+    let num_frames = num_to_compare(&posed);
+    let (_, again) = first_pass(input, config, num_frames)?;
+    if !is_interrupted() && !tracks_as_well(&posed[..num_frames], &again) {
+        let [with, without] = [&again, &posed[..num_frames]].map(num_posed);
+        input.return_to_camera(before);
+        input.warnings.push(format!(
+            "with the camera that the first pass shows tracking went worse ({with} of the first {num_frames} frames have a pose, {without} \
+             without it): the camera is that from before"
+        ));
     }
     Ok(())
+}
+
+/// Frames behind the first one with a pose that are tracked again with another camera, to see that it takes nothing away.
+const COMPARED_FRAMES: usize = 60;
+/// Least share of the poses that another camera must leave.
+const MIN_KEPT: f64 = 0.7;
+
+/// How many frames from the first one on are tracked again: until some time after tracking began.
+fn num_to_compare(posed: &[bool]) -> usize {
+    let first = posed.iter().position(|posed| *posed).unwrap_or(0);
+    posed.len().min(first + COMPARED_FRAMES)
+}
+
+/// Whether another camera has about as many poses in the same frames.
+fn tracks_as_well(before: &[bool], again: &[bool]) -> bool {
+    num_posed(again) as f64 >= MIN_KEPT * num_posed(before) as f64
+}
+
+fn num_posed(posed: &[bool]) -> usize {
+    posed.iter().filter(|posed| **posed).count()
 }
 
 /// The rolling shutter that the images show, ms.
@@ -56,33 +89,39 @@ fn shown_readout_ms(input: &Input) -> Option<f64> {
     let (camera, direction) = input.lens();
     let shape = ((camera.width, camera.height), direction);
     let images = input.timed_images_again();
-    OwnCalibration::from_images(images, shape, &Expected::ORDINARY)?.readout_ms
+    let shape = (shape, input.fixed_mask());
+    let shown = OwnCalibration::from_images(images, shape, &Expected::ORDINARY);
+    shown.ok()?.readout_ms
 }
 
-/// The system after the first frames, not finished yet, and their number.
-fn first_pass(input: &Input, config: &RunConfig) -> Result<(Slam, usize), Failure> {
+/// The system after the first frames, not finished yet, and which of them had a pose when they were tracked.
+fn first_pass(
+    input: &Input,
+    config: &RunConfig,
+    max_frames: usize,
+) -> Result<(Slam, Vec<bool>), Failure> {
     let mask = input.mask().clone();
     let mut slam = Slam::new(config.slam.clone(), *input.pinhole(), mask, config.seed)
         .map_err(Failure::input)?;
-    let mut num_frames = 0;
-    let frames = beginning(input.source(None));
+    let mut posed = Vec::new();
+    let frames = beginning(input.source(None)).take(max_frames);
     read_ahead(frames, &input.preparation, Reading::default(), |frame| {
-        num_frames += 1;
         if is_interrupted() {
             return ControlFlow::Break(());
         }
-        if let Some(Ok(image)) = frame.image {
+        let report = frame.image.and_then(Result::ok).map(|image| {
             slam.process_frame(FrameInput {
                 index: frame.index,
                 timestamp_ns: frame.timestamp_ns,
                 image,
                 seed_depth: None,
-            });
-        }
+            })
+        });
+        posed.push(report.is_some_and(|report| report.world_from_camera.is_some()));
         ControlFlow::Continue(ReadOn::AsBefore)
     })
     .while_running("frames cannot be read")?;
-    Ok((slam, num_frames))
+    Ok((slam, posed))
 }
 
 /// The frames of the first pass.
@@ -102,13 +141,16 @@ fn beginning(
 fn refined_own(
     (slam, taken_out): (&Slam, &TakenOut),
     camera: &Camera,
-    working: (usize, usize),
+    input: &Input,
     num_frames: usize,
 ) -> Option<OwnCalibration> {
+    let working = input.size();
     let size = (camera.width, camera.height);
     let factor = working.0 as f64 / size.0 as f64;
     let guess = own_intrinsics(camera).scaled(factor);
-    let prior = Expected::ORDINARY.prior(working, CENTRE_FREEDOM);
+    let picture = input.fixed.as_ref().map(|fixed| fixed.picture);
+    let expected = Expected::ORDINARY.within(picture, size);
+    let prior = expected.prior(working, CENTRE_FREEDOM);
     let shown = shown_by_map(slam, VIEWS_PER_PIECE, &guess, (working, &prior), taken_out);
     let shown = shown.scaled(1.0 / factor, size);
     let source = format!("estimated from the map of the first {num_frames} frames");
@@ -162,6 +204,7 @@ fn given_as_shown(
             camera.pinhole.cy,
             1.96 * shown.sigma[1]
         ),
+        is_assumed: false,
         warnings: Vec::new(),
     })
 }
@@ -200,9 +243,26 @@ fn own_intrinsics(camera: &Camera) -> Intrinsics {
 
 #[cfg(test)]
 mod tests {
-    use super::{beginning, two_lenses};
+    use super::{beginning, num_to_compare, tracks_as_well, two_lenses};
     use monogrid_geometry::{Distortion, Vec2};
     use monogrid_pipeline::{SourceFrame, Unusable};
+
+    #[test]
+    fn a_camera_that_takes_the_start_away_is_told() {
+        let posed = |first: usize, num: usize| {
+            let posed = (0..200).map(|k| (first..first + num).contains(&k));
+            posed.collect::<Vec<bool>>()
+        };
+        let before = posed(30, 170);
+        let num = num_to_compare(&before);
+        assert_eq!(num, 90);
+        assert!(tracks_as_well(&before[..num], &before[..num]));
+        assert!(tracks_as_well(&before[..num], &posed(40, 160)[..num]));
+        assert!(!tracks_as_well(&before[..num], &posed(0, 0)[..num]));
+        assert!(!tracks_as_well(&before[..num], &posed(30, 20)[..num]));
+        // where there was no start before, nothing is taken away
+        assert!(tracks_as_well(&posed(0, 0), &posed(0, 0)));
+    }
 
     #[test]
     fn the_first_pass_is_half_a_minute_long() {

@@ -6,9 +6,9 @@ use monogrid_calibration::{
     CollectorConfig, Estimate, EstimateConfig, Intrinsics, Prior, TrackCollector, Window,
     estimate_intrinsics,
 };
-use monogrid_datasets::{Calibration, exif_focal_px};
+use monogrid_datasets::{Calibration, Rectangle, exif_focal_px};
 use monogrid_geometry::{Camera, Distortion, Pinhole, ReadoutDirection};
-use monogrid_image::{GrayImage, Resize, WorkingSize, resize_area};
+use monogrid_image::{GrayImage, Mask, Resize, WorkingSize, resize_area, resize_mask};
 use std::path::Path;
 
 /// Field of view that is assumed along the longer side where nothing is known, degrees: between the
@@ -28,6 +28,8 @@ pub struct Expected {
     focal_sigma: Option<f64>,
     /// Where it comes from, for people.
     source: &'static str,
+    /// Of a picture within borders: its longer side and its middle, as shares of those of the image.
+    picture: Option<(f64, [f64; 2])>,
 }
 
 impl Expected {
@@ -36,7 +38,27 @@ impl Expected {
         fov_deg: ASSUMED_FOV_DEG,
         focal_sigma: None,
         source: "assumed",
+        picture: None,
     };
+
+    /// The same for a picture that is `picture` of an image of this size, and has borders around it.
+    pub fn within(self, picture: Option<Rectangle>, size: (usize, usize)) -> Self {
+        let longer = |(width, height): (usize, usize)| width.max(height).max(1) as f64;
+        let of_image = |picture: Rectangle| {
+            let Rectangle { left, top, .. } = picture;
+            let (width, height) = (picture.width, picture.height);
+            let middle = |first: usize, length: usize, all: usize| {
+                (first as f64 + length as f64 / 2.0) / all.max(1) as f64
+            };
+            let x = middle(left, width, size.0);
+            let y = middle(top, height, size.1);
+            (longer((width, height)) / longer(size), [x, y])
+        };
+        Self {
+            picture: picture.map(of_image),
+            ..self
+        }
+    }
 
     /// What the camera wrote into an image, if it did.
     pub fn of_image(path: &Path, size: (usize, usize)) -> Self {
@@ -46,6 +68,7 @@ impl Expected {
                 fov_deg: 2.0 * (longer / 2.0 / focal).atan().to_degrees(),
                 focal_sigma: Some(EXIF_SIGMA),
                 source: "as the images say (Exif)",
+                picture: None,
             },
             None => Self::ORDINARY,
         }
@@ -54,6 +77,12 @@ impl Expected {
     /// What is known before anything was seen; the principal point has `centre_freedom` times its ordinary freedom.
     pub fn prior(&self, size: (usize, usize), centre_freedom: f64) -> Prior {
         let mut prior = Prior::ordinary(self.fov_deg, size);
+        if let Some((longer, middle)) = self.picture {
+            let [x, y] = middle.map(|share| share - 0.5);
+            prior.mean[0] += longer.ln();
+            prior.mean[3] += x * size.0 as f64;
+            prior.mean[4] += y * size.1 as f64;
+        }
         prior.sigma[0] = self.focal_sigma.unwrap_or(prior.sigma[0]);
         prior.sigma[3] *= centre_freedom;
         prior.sigma[4] *= centre_freedom;
@@ -76,6 +105,8 @@ pub struct OwnCalibration {
     pub readout_ms: Option<f64>,
     /// How it came about, for people.
     pub interpretation: String,
+    /// Whether its focal length is assumed, because nothing shows it.
+    pub is_assumed: bool,
     /// What to know about it, in sentences.
     pub warnings: Vec<String>,
 }
@@ -94,37 +125,50 @@ impl OwnCalibration {
             interpretation: format!(
                 "pinhole with the horizontal field of view that was given, {fov_deg} degrees"
             ),
+            is_assumed: false,
             warnings: Vec::new(),
         })
     }
 
-    /// The camera that the beginning of a video shows; `None` where it shows none at all.
+    /// The camera that the beginning of a video shows; why, where it shows none at all.
+    ///
+    /// # Errors
+    /// No corner can be followed for long enough.
     pub fn from_images(
         frames: impl Iterator<Item = (i64, GrayImage)>,
-        (size, direction): ((usize, usize), ReadoutDirection),
+        ((size, direction), mask): (((usize, usize), ReadoutDirection), Option<&Mask>),
         expected: &Expected,
-    ) -> Option<Self> {
+    ) -> Result<Self, String> {
         let mut times_ns = Vec::new();
         let images = frames.take(MAX_FRAMES).map(|(time_ns, image)| {
             times_ns.push(time_ns);
             image
         });
-        let windows = windows_of(images, (size, direction), MAX_WINDOWS);
+        let windows = windows_of(images, ((size, direction), mask), MAX_WINDOWS);
         if windows.is_empty() || is_interrupted() {
-            return None;
+            return Err(why_not_followed(&times_ns).to_owned());
         }
         let estimate = estimate(&windows, size, expected, 1.0);
-        let own = Self::from_estimate(&estimate, size, expected)?;
+        let own = Self::from_estimate(&estimate, size, expected);
+        let own = own.ok_or("the camera that they show is none")?;
         let readout = estimate.readout().filter(|_| estimate.is_determined());
-        Some(match readout {
+        Ok(match readout {
             Some((share, sigma)) => own.with_readout(share, sigma, interval_ns(&times_ns) / 1e6),
             None => own,
         })
     }
 
-    /// The camera that is expected, without a look at its images.
-    pub fn assumed(size: (usize, usize), expected: &Expected) -> Option<Self> {
-        Self::from_estimate(&estimate(&[], size, expected, 1.0), size, expected)
+    /// The camera that is expected, where its images cannot show it, and why they do not.
+    pub fn assumed(size: (usize, usize), expected: &Expected, reason: &str) -> Option<Self> {
+        let own = Self::from_estimate(&estimate(&[], size, expected, 1.0), size, expected)?;
+        let (fov_deg, source) = (expected.fov_deg, expected.source);
+        Some(Self {
+            warnings: vec![format!(
+                "the focal length is not known: {reason}; {fov_deg:.0} degrees along the longer side are taken, {source}, unless the map of \
+                 a first pass shows it; give --calibration FILE or --fov DEG"
+            )],
+            ..own
+        })
     }
 
     /// The same with a rolling shutter, in shares of the time from frame to frame.
@@ -154,10 +198,11 @@ impl OwnCalibration {
             interpretation: format!(
                 "{source}: pinhole with a field of view of {fov_deg:.0} degrees along the longer side"
             ),
+            is_assumed: true,
             warnings: vec![format!(
                 "the motion of the camera does not show its focal length (uncertain by {percent:.0} \
-                 %): {fov_deg:.0} degrees are taken, {source}; turn the camera while moving it \
-                 sideways, or give --calibration FILE or --fov DEG"
+                 %): {fov_deg:.0} degrees are taken, {source}, unless the map of a first pass shows it; turn \
+                 the camera while moving it sideways, or give --calibration FILE or --fov DEG"
             )],
         })
     }
@@ -192,6 +237,7 @@ impl OwnCalibration {
                  pieces of it used",
                 centre.x, centre.y, estimate.num_windows, estimate.num_given
             ),
+            is_assumed: false,
             warnings: Vec::new(),
         })
     }
@@ -231,6 +277,26 @@ impl OwnCalibration {
     }
 }
 
+/// Why corners cannot be followed through images of these times.
+fn why_not_followed(times_ns: &[i64]) -> &'static str {
+    let interval_ns = interval_ns(times_ns);
+    if times_ns.len() < 2 {
+        return "there are too few images";
+    }
+    if times_ns.windows(2).any(|pair| pair[1] < pair[0]) {
+        return "the times of the images are out of order";
+    }
+    match interval_ns > FAR_APART_NS {
+        true => "the images are too far apart to follow anything from one to the next",
+        false => {
+            "nothing can be followed through the images (the picture hardly moves, has no texture, or jumps from image to image)"
+        }
+    }
+}
+
+/// Time from image to image from which most motions leave too little in common, ns.
+const FAR_APART_NS: f64 = 400e6;
+
 /// Median time from frame to frame, ns; 0 without two frames.
 pub fn interval_ns(times_ns: &[i64]) -> f64 {
     let mut intervals: Vec<i64> = times_ns.windows(2).map(|t| t[1] - t[0]).collect();
@@ -239,17 +305,19 @@ pub fn interval_ns(times_ns: &[i64]) -> f64 {
     median.map_or(0.0, |ns| *ns as f64)
 }
 
-/// The windows of a video at working size; the images are of this size, and a rolling shutter runs this way over them.
+/// The windows of a video at working size; the images are of this size, a rolling shutter runs this way over them, and
+/// corners lie where the mask says.
 pub fn windows_of(
     images: impl Iterator<Item = GrayImage>,
-    (size, direction): ((usize, usize), ReadoutDirection),
+    ((size, direction), mask): (((usize, usize), ReadoutDirection), Option<&Mask>),
     max_windows: usize,
 ) -> Vec<Window> {
     let (width, height) = WorkingSize::AUTOMATIC.resolve(size.0, size.1);
     let mut collector = TrackCollector::new(CollectorConfig {
         direction,
         ..CollectorConfig::default()
-    });
+    })
+    .within(mask.map(|mask| resize_mask(mask, Resize { width, height })));
     for image in images.filter(|image| (image.width(), image.height()) == size) {
         collector.add(&resize_area(&image, Resize { width, height }));
         if collector.num_windows() >= max_windows {
@@ -309,6 +377,7 @@ mod tests {
             fov_deg: 80.0,
             focal_sigma: Some(0.1),
             source: "as the images say",
+            picture: None,
         };
         let known = OwnCalibration::from_estimate(&shown, (640, 480), &wide).unwrap();
         assert!((known.camera.horizontal_fov_deg() - 80.0).abs() < 0.2);

@@ -112,11 +112,116 @@ fn calibrations_that_cannot_be_right() {
     let calibration = report["calibration"].as_str().unwrap();
     let degrees = report["horizontal_fov_deg"].as_f64().unwrap();
     assert!((degrees - 67.38).abs() < 0.01, "{calibration}: {degrees}");
+    // what lies there and is not understood: the facts all the same, and why a run refuses it
+    fs::write(&file, "60 60 39.5").unwrap();
+    let output = monogrid([Path::new("check"), dir.path(), Path::new("--json")]);
+    assert_fails(&output, 2, &["calibration"]);
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(report["frames"], 3);
+    assert_eq!(report["calibration"], "not understood");
+    // none at all: an ordinary camera is taken, and it is said why
     fs::remove_file(&file).unwrap();
-    assert_fails(
-        &run(dir.path(), &out_in(&dir), &[]),
-        2,
-        &["no calibration", "--calibration"],
+    let said = ["focal length is not known", "assumed", "--calibration"];
+    assert_fails(&run(dir.path(), &out_in(&dir), &[]), 3, &said);
+    let output = monogrid([Path::new("check"), dir.path(), Path::new("--json")]);
+    let report = json(&output);
+    assert_eq!(report["frames"], 3);
+    assert!(
+        report["warnings"].to_string().contains("assumed"),
+        "{report}"
+    );
+}
+
+/// Grey levels without an end, smooth between random ones at whole numbers.
+fn texture(x: f64, y: f64) -> f64 {
+    let level = |x: f64, y: f64| {
+        let mixed = (x as i64 as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15)
+            ^ (y as i64 as u64).wrapping_mul(0xC2B2_AE3D_27D4_EB4F);
+        (monogrid_geometry::mix(mixed) >> 40) as f64 / f64::from(1 << 24) * 220.0 + 20.0
+    };
+    let (left, top) = (x.floor(), y.floor());
+    let smooth = |t: f64| t * t * (3.0 - 2.0 * t);
+    let (u, v) = (smooth(x - left), smooth(y - top));
+    let across = |y: f64| level(left, y) * (1.0 - u) + level(left + 1.0, y) * u;
+    across(top) * (1.0 - v) + across(top + 1.0) * v
+}
+
+/// A folder with 45 images, 320x240, of which each pixel is `of` the number of the image and its place.
+fn made_folder(of: impl Fn(usize, f64, f64) -> f64) -> TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    for k in 0..45 {
+        let image = Image::from_fn(320, 240, |x, y| of(k, x as f64, y as f64) as u8);
+        fs::write(dir.path().join(format!("{k:03}.png")), encode_png(&image)).unwrap();
+    }
+    dir
+}
+
+/// What the walls around a camera look like that turns about its vertical axis: its focal length is 260 px.
+fn turned(angle: f64, x: f64, y: f64) -> f64 {
+    let (x, y) = ((x - 159.5) / 260.0, (y - 119.5) / 260.0);
+    let around = angle + x.atan();
+    texture(30.0 * around, 30.0 * (y / x.hypot(1.0)).atan())
+}
+
+#[test]
+fn a_camera_that_shows_no_depth_ends_with_code_3_and_says_what_to_film() {
+    let turns = made_folder(|k, x, y| turned(0.02 * k as f64, x, y));
+    let passes = |k: usize, x: f64| (7 * k..7 * k + 90).contains(&(x as usize));
+    let stands = made_folder(|k, x, y| match passes(k, x) && y > 80.0 {
+        true => texture(0.1 * (x - 7.0 * k as f64) + 700.0, 0.1 * y),
+        false => turned(0.0, x, y),
+    });
+    for (dir, status, motion, said) in [
+        (&turns, "only_turns", "only turns", "only turns"),
+        (&stands, "stands_still", "stands still", "stands still"),
+    ] {
+        for calibration in [None, Some("260 260 159.5 119.5 320 240\n")] {
+            let file = dir.path().join("calibration.txt");
+            let written = calibration.map(|text| fs::write(&file, text));
+            written.transpose().unwrap();
+            let out = out_in(dir);
+            let output = run(dir.path(), &out, &["--json"]);
+            assert_eq!(code(&output), 3, "{status}: {}", stderr(&output));
+            let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+            assert_eq!(summary["status"], status);
+            assert_eq!(
+                (&summary["frames"], &summary["keyframes"]),
+                (&45.into(), &0.into())
+            );
+            assert!(stderr(&output).contains(said) && stderr(&output).contains("filming"));
+            assert!(!out.join("global.ot").exists() && out.join("report.html").exists());
+            let checked = monogrid([Path::new("check"), dir.path(), Path::new("--json")]);
+            assert_eq!(json(&checked)["motion"], motion);
+            fs::remove_dir_all(&out).unwrap();
+        }
+    }
+}
+
+#[test]
+fn borders_are_found_and_said() {
+    // a picture of what a turning camera sees on a screen with other things on it
+    let is_inside = |x: f64, y: f64| (60.0..280.0).contains(&x) && (30.0..200.0).contains(&y);
+    let dir = made_folder(|k, x, y| match is_inside(x, y) {
+        true => turned(0.05 * k as f64, x, y),
+        false => texture(0.2 * x + 300.0, 0.2 * y),
+    });
+    let report = json(&monogrid([
+        Path::new("check"),
+        dir.path(),
+        Path::new("--json"),
+    ]));
+    let picture = report["picture"].as_array().unwrap();
+    let picture: Vec<f64> = picture.iter().map(|n| n.as_f64().unwrap()).collect();
+    for (found, expected) in picture.iter().zip([60.0, 30.0, 220.0, 170.0]) {
+        assert!((found - expected).abs() <= 4.0, "{picture:?}");
+    }
+    assert!(
+        report["warnings"].to_string().contains("is a border"),
+        "{report}"
+    );
+    assert_eq!(
+        report["motion"], "only turns",
+        "the border alone stands still"
     );
 }
 

@@ -450,6 +450,17 @@ fn maps_are_cropped_merged_moved_compared_and_projected() {
         2,
         &["between the heights 0.7"],
     );
+    // the heights of the grid that the run itself wrote stand above what follows from the floor
+    folder.write(
+        "summary.json",
+        r#"{"scale": "metric", "floor": {"camera_height": 7}, "map": {"band": [0.0, 0.75]}}"#,
+    );
+    ok(&["project", &map, &pgm, "--force"]);
+    assert!(described().contains("z = 0.000 to 0.750 m"));
+    folder.write(
+        "summary.json",
+        r#"{"scale": "metric", "floor": {"camera_height": 7}}"#,
+    );
     let high = folder.path("high.pgm");
     let empty = ["project", &map, &high, "--min-height", "7"];
     assert_fails(&monogrid(empty), 2, &["no known cells"]);

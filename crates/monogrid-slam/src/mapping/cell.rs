@@ -37,19 +37,22 @@ pub enum CellReason {
 }
 
 impl SceneCell {
-    /// One sentence for people; `unit` is that of lengths.
+    /// One sentence for people; `unit` is that of lengths. How precise the depth is says itself alone, so that it is said only
+    /// where `shows_depth`: something else has shown that there is some.
     #[must_use]
-    pub fn reason(&self, unit: &str) -> String {
+    pub fn reason(&self, unit: &str, shows_depth: bool) -> String {
         let because = match self.because {
             CellReason::Depth => "a fiftieth of that",
             CellReason::Precision => "as fine as the depth is precise",
             CellReason::Cost => "finer ones would cost too much",
         };
+        let precision = match shows_depth {
+            true => format!("precise to {:.1} %", 100.0 * self.relative_sigma),
+            false => "uncertain: the images show no parallax by themselves".to_owned(),
+        };
         format!(
-            "cells of {} {unit}: the scene is {:.2} away (median), its depth precise to {:.1} %; {because}",
-            self.edge,
-            self.median_depth,
-            100.0 * self.relative_sigma
+            "cells of {} {unit}: the scene is {:.2} away (median), its depth {precision}; {because}",
+            self.edge, self.median_depth
         )
     }
 }
@@ -164,7 +167,11 @@ mod tests {
         let many = cell(2.5, 0.01, 1.0, 30_000);
         assert_eq!(many.because, CellReason::Cost, "{many:?}");
         assert!(many.edge > 0.05);
-        assert!(many.reason("m").contains("cost"));
+        assert!(many.reason("m", true).contains("cost"));
+        assert!(
+            many.reason("m", true).contains("precise")
+                && !many.reason("m", false).contains("precise")
+        );
     }
 
     #[test]

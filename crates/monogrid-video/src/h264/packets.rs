@@ -42,7 +42,10 @@ impl PacketFrames {
         self.packet += 1;
         if !coded.format.eq_ignore_ascii_case(FORMAT) {
             self.ended = true;
-            let found = format!("video coded as {:?}", coded.format);
+            let found = match coded.format.trim() {
+                "" => "video whose messages do not name their codec".to_owned(),
+                format => format!("video coded as {format:?}"),
+            };
             return Err(VideoError::content(&self.name, "recording", found, FORMAT));
         }
         let mut first_error = None;

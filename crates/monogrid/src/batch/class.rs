@@ -93,7 +93,7 @@ impl Class {
     fn of_metrics(metrics: &Metrics) -> Self {
         match metrics.status.as_str() {
             "done" if metrics.coverage() >= MIN_COVERAGE => Self::Ok,
-            "not_initialised" => Self::NotStarted,
+            "not_initialised" | "stands_still" | "only_turns" => Self::NotStarted,
             "unreadable" => Self::BadInput,
             _ => Self::Lost,
         }
@@ -178,6 +178,10 @@ mod tests {
         assert_eq!(of(exit(3), "", "lost", 100), Class::Lost);
         assert_eq!(of(exit(3), "", "fragment", 95), Class::Lost);
         assert_eq!(of(exit(3), "", "not_initialised", 0), Class::NotStarted);
+        for status in ["stands_still", "only_turns"] {
+            assert_eq!(of(exit(3), "", status, 0), Class::NotStarted);
+        }
+        assert_eq!(of(exit(3), "", "partial", 40), Class::Lost);
         assert_eq!(of(exit(1), "", "unreadable", 50), Class::BadInput);
         assert_eq!(Class::of(exit(2), "error: no", None), Class::BadInput);
         assert_eq!(Class::of(exit(1), "error: x", None), Class::Failed);

@@ -183,6 +183,7 @@ fn own_calibration(found: &TargetCalibration, has_tags: bool) -> OwnCalibration 
             model_name(found.model),
             found.rms_px
         ),
+        is_assumed: false,
         warnings: Vec::new(),
     }
 }

@@ -5,7 +5,9 @@ use crate::doubts::doubts;
 use crate::failure::{CommandResult, Failure};
 use crate::input::{Images, Input};
 use crate::readings::{ImuFacts, Inertial};
+use crate::seen::{self, Motion, no_map};
 use clap::Args;
+use monogrid_calibration::CameraMotion;
 use monogrid_datasets::{FrameCheck, FrameChecker, FrameEntry, SequenceCheck};
 use monogrid_image::{GrayImage, WorkingSize};
 use monogrid_pipeline::Unusable;
@@ -38,8 +40,13 @@ struct CheckReport {
     horizontal_fov_deg: f64,
     usable_pixels: f64,
     unreadable: usize,
+    /// How the camera moves: `stands still`, `only turns`, `moves` or `unclear`.
+    motion: &'static str,
+    /// Where the picture lies within borders: left, top, width, height; `null` where nothing is fixed to the camera.
+    picture: Option<[usize; 4]>,
     /// Numbers of frames.
     repeated: Vec<usize>,
+    nearly_repeated: Vec<usize>,
     exposure_jumps: Vec<usize>,
     blurred: Vec<usize>,
     plain: Vec<usize>,
@@ -78,13 +85,44 @@ fn frames(input: &Input) -> Box<dyn Iterator<Item = CheckedFrame> + '_> {
 
 /// Reads all frames and reports.
 pub fn execute(args: &CheckArgs) -> CommandResult {
-    let input = Input::open(&args.source, &args.input, WorkingSize::AUTOMATIC)?;
+    let (input, refused) = open(args)?;
     let seen = Seen::all(&input);
-    let report = CheckReport::new(&input, &seen);
+    let motion = Motion::of(&input).map_or(CameraMotion::Unclear, |motion| motion.did);
+    let mut report = CheckReport::new((&input, motion), &seen);
+    if refused.is_some() {
+        "not understood".clone_into(&mut report.calibration);
+    }
     let outcome = args.json.print(&report, || print_report(&report));
-    match seen.broke_off {
-        Some(reason) => Err(Failure::running(reason)),
-        None => outcome,
+    match (seen.broke_off, refused) {
+        (Some(reason), _) => Err(Failure::running(reason)),
+        (None, Some(refused)) => Err(refused),
+        (None, None) => outcome,
+    }
+}
+
+/// Field of view with which images are looked at whose calibration is not understood, degrees.
+const SOME_FOV_DEG: f64 = 62.0;
+
+/// The source; where its calibration is not understood, the images all the same, and why `run` refuses it.
+fn open(args: &CheckArgs) -> Result<(Input, Option<Failure>), Failure> {
+    let open = |how: &SourceArgs| Input::open(&args.source, how, WorkingSize::AUTOMATIC);
+    let refused = match open(&args.input) {
+        Ok(input) => return Ok((input, None)),
+        Err(refused) => refused,
+    };
+    let can_be_opened_again = args.source.is_file() || args.source.is_dir();
+    if !can_be_opened_again || !matches!(refused, Failure::Input(_)) {
+        return Err(refused);
+    }
+    let without = SourceArgs {
+        calibration: None,
+        fov: Some(SOME_FOV_DEG),
+        ..args.input.clone()
+    };
+    match open(&without) {
+        Ok(input) => Ok((input, Some(refused))),
+        // it is not the calibration
+        Err(_) => Err(refused),
     }
 }
 
@@ -125,7 +163,7 @@ impl Seen {
 }
 
 impl CheckReport {
-    fn new(input: &Input, seen: &Seen) -> Self {
+    fn new((input, motion): (&Input, CameraMotion), seen: &Seen) -> Self {
         let dataset = match &input.images {
             Images::Files(dataset) => Some(dataset),
             Images::Video(_) | Images::Rendered(_) => None,
@@ -155,7 +193,10 @@ impl CheckReport {
             horizontal_fov_deg: input.camera().horizontal_fov_deg(),
             usable_pixels: valid as f64 / (width * height) as f64,
             unreadable: seen.unreadable.len(),
+            motion: seen::name(motion),
+            picture: input.fixed.as_ref().map(|fixed| fixed.picture.into()),
             repeated: in_source(&sequence.repeated),
+            nearly_repeated: in_source(&sequence.nearly_repeated),
             exposure_jumps: in_source(&jumps),
             blurred: in_source(&sequence.blurred),
             plain: in_source(&sequence.plain),
@@ -175,9 +216,10 @@ impl CheckReport {
             warnings.push(format!("{count} images cannot be used, first {first}"));
         }
         warnings.extend(input.faults());
+        warnings.extend(no_map(motion).map(str::to_owned));
         warnings.extend(sequence.findings());
         if input.own_calibration.is_none() {
-            warnings.extend(doubts(input.lens(), input.images_again()));
+            warnings.extend(doubts(input));
         }
         report.add_slow_or_narrow();
         report
@@ -215,13 +257,21 @@ fn print_report(report: &CheckReport) {
     println!("calibration  {}", report.calibration);
     let view = report.horizontal_fov_deg;
     println!("view         {view:.1} degrees horizontally");
+    println!("motion       {}", report.motion);
+    match report.picture {
+        Some([left, top, width, height]) => {
+            println!("borders      the picture is {width}x{height} pixels at ({left}, {top})");
+        }
+        None => println!("borders      none found"),
+    }
     let texture = 100.0 * report.median_textured_share;
     println!("texture      {texture:.1} % of the pixels in the median frame");
-    let bad = [&report.repeated, &report.exposure_jumps, &report.blurred];
-    let [repeated, jumps, blurred] = bad.map(Vec::len);
+    let repeats = [&report.repeated, &report.nearly_repeated];
+    let [repeated, nearly] = repeats.map(Vec::len);
+    let [jumps, blurred] = [&report.exposure_jumps, &report.blurred].map(Vec::len);
     let [plain, overexposed] = [&report.plain, &report.overexposed].map(Vec::len);
     println!(
-        "frames that  cannot be read {}, repeat {repeated}, jump in brightness {jumps}, are blurred {blurred}, plain {plain}, overexposed {overexposed}",
+        "frames that  cannot be read {}, repeat {repeated} ({nearly} more nearly), jump in brightness {jumps}, are blurred {blurred}, plain {plain}, overexposed {overexposed}",
         report.unreadable
     );
     let (depths, has_truth) = (report.depth_images, report.has_ground_truth);

@@ -311,7 +311,7 @@ fn from_recording(args: &MapArgs, align: &Align, threads: usize) -> Result<Built
         None => CellColours::unknown(),
     };
     if let Some(cell) = cell {
-        eprintln!("{}", cell.reason("map units"));
+        eprintln!("{}", cell.reason("map units", true));
     }
     let is_metric = recorded.frame.is_aligned || recorded.session.scale == Scale::Metric;
     Ok(Built {

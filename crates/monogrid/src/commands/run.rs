@@ -16,6 +16,7 @@ use crate::run::conclusion::conclude;
 use crate::run::sessions::{Continued, Earlier, files_of};
 use crate::run::whole::{Extras, run_all};
 use crate::run::{MemoryLimit, RunSettings, SubmapPolicy, View};
+use crate::seen::Motion;
 use clap::Args;
 use monogrid_image::{GrayImage, WorkingSize};
 use monogrid_pipeline::Pace;
@@ -233,7 +234,14 @@ fn open(args: &RunArgs, earlier: Option<&Earlier>, config: &RunConfig) -> Result
                 "--refine-calibration: found a stream, which is seen only once; expected a file, for a first pass",
             ));
         }
-        if args.refine_calibration || is_own {
+        if args.seed_depth.is_none() {
+            let looked = abandonable("looking", move || {
+                input.motion = Motion::of(&input);
+                input
+            });
+            input = looked?;
+        }
+        if (args.refine_calibration || is_own) && input.no_map().is_none() {
             let config = config.clone();
             let refined = abandonable("first pass", move || {
                 refine(&mut input, &config).map(|()| input)

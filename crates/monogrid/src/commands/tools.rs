@@ -82,10 +82,10 @@ pub struct ProjectArgs {
     pub map: PathBuf,
     /// Image to write (.pgm); its description is written beside it (.yaml)
     pub output: PathBuf,
-    /// Cells whose centres are lower are left out [default: beside a run that found the floor a tenth of the camera's height over it]
+    /// Cells whose centres are lower are left out [default: as in map.pgm of the run beside it]
     #[arg(long, value_name = "Z")]
     pub min_height: Option<f64>,
-    /// Cells whose centres are higher are left out [default: beside such a run somewhat over the camera]
+    /// Cells whose centres are higher are left out [default: as in map.pgm of the run beside it]
     #[arg(long, value_name = "Z")]
     pub max_height: Option<f64>,
     #[command(flatten)]
@@ -291,8 +291,9 @@ pub fn diff(args: &DiffArgs) -> CommandResult {
 struct RunBeside {
     /// Whether they are metres; `None` where there is no summary.
     is_metric: Option<bool>,
-    /// Median height of the camera over the floor, which is at z = 0; `None` where none was found.
-    camera_height: Option<f64>,
+    /// Lowest and highest z of the map seen from above that the run wrote, else what follows from the median height of the camera over
+    /// the floor, which is at z = 0; `None` where neither is known.
+    band: Option<[f64; 2]>,
 }
 
 impl RunBeside {
@@ -301,9 +302,11 @@ impl RunBeside {
         let text = std::fs::read_to_string(path).unwrap_or_default();
         let summary: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
         let height = summary["floor"]["camera_height"].as_f64();
+        let height = height.filter(|height| height.is_finite() && *height > 0.0);
+        let written = serde_json::from_value::<[f64; 2]>(summary["map"]["band"].clone()).ok();
         Self {
             is_metric: summary["scale"].as_str().map(|scale| scale == "metric"),
-            camera_height: height.filter(|height| height.is_finite() && *height > 0.0),
+            band: written.or(height.map(|height| [0.1 * height, 1.1 * height])),
         }
     }
 
@@ -334,9 +337,9 @@ pub fn project(args: &ProjectArgs) -> CommandResult {
     let yaml_file = OutputFile::new(&yaml, args.write.force, &inputs)?;
     let (map, _) = mapfile::load(&args.map)?;
     let beside = RunBeside::of(&args.map);
-    let usual = |share: f64| beside.camera_height.map(|height| share * height);
-    let low = args.min_height.or(usual(0.1)).unwrap_or(f64::NEG_INFINITY);
-    let high = args.max_height.or(usual(1.1)).unwrap_or(f64::INFINITY);
+    let [lowest, highest] = beside.band.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
+    let low = args.min_height.unwrap_or(lowest);
+    let high = args.max_height.unwrap_or(highest);
     let projected = map.projected(low, high).bad_input()?;
     let Some(grid) = projected else {
         return Err(Failure::input(format!(

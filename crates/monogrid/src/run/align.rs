@@ -12,7 +12,7 @@ use monogrid_slam::mapping::{
     Floor, UprightConfig, UprightView, floor_below, level_from_world, upright,
     z_up_from_camera_world,
 };
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// What `--up` asks for.
@@ -49,6 +49,8 @@ pub enum Align {
         description: String,
         /// Whether its lengths are metres.
         is_metric: bool,
+        /// What that run found out about up and the ground.
+        ground: KnownGround,
     },
     /// The frame of a trajectory, to which the estimated one is fitted.
     Trajectory {
@@ -74,6 +76,19 @@ pub struct MapFrame {
     pub up: UpSummary,
     /// The floor at z = 0, where one was found.
     pub floor: Option<FloorSummary>,
+    /// The level surface at z = 0 that is no floor: things lie below it.
+    pub level_surface: Option<FloorSummary>,
+}
+
+/// What an earlier run found out about up and the ground.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct KnownGround {
+    /// How sure the scene was of up.
+    pub confidence: Option<f64>,
+    /// The floor at z = 0.
+    pub floor: Option<FloorSummary>,
+    /// Or a level surface that is none.
+    pub level_surface: Option<FloorSummary>,
 }
 
 /// What was found out about up, as `summary.json` says it.
@@ -83,15 +98,38 @@ pub struct UpSummary {
     pub from: &'static str,
     /// How sure the scene is, from 0 to 1; `null` where it was not asked.
     pub confidence: Option<f64>,
+    /// Whether that is sure enough to rely on: a guess from the scene, and how the first camera was held, are not.
+    pub is_certain: bool,
 }
 
+impl UpSummary {
+    fn new(from: &'static str, confidence: Option<f64>) -> Self {
+        let is_certain = match (from, confidence) {
+            ("first-camera", _) => false,
+            (_, Some(confidence)) => confidence >= CERTAIN,
+            (_, None) => true,
+        };
+        Self {
+            from,
+            confidence,
+            is_certain,
+        }
+    }
+}
+
+/// Confidence of the scene from which up is called certain: wrong ones had up to 0.46.
+const CERTAIN: f64 = 0.5;
+
 /// What was found out about the floor, as `summary.json` says it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FloorSummary {
     /// Median height of the keyframes' cameras over it, in units of the results.
     pub camera_height: f64,
     /// Its share of all level planes that were seen from above.
     pub share: f64,
+    /// Share of what was seen near the cameras that lies clearly below it.
+    #[serde(default)]
+    pub below: f64,
 }
 
 /// The keyframes and what is needed to look at the scene that they show.
@@ -150,12 +188,15 @@ impl Up {
                 let confidence = found.as_ref().map_or(0.0, |found| found.confidence);
                 let mut frame = match found {
                     Some(found) if confidence >= scene.config.min_confidence => {
-                        let floor = found.floor.as_ref();
-                        level(&found.up_in_world, floor, "as the scene says", "scene")
+                        let said = match confidence >= CERTAIN {
+                            true => "as the scene says",
+                            false => "as the scene seems to say (uncertain)",
+                        };
+                        level(&found.up_in_world, found.floor.as_ref(), said, "scene")
                     }
-                    _ => first_camera(),
+                    _ => uncertain(),
                 };
-                frame.up.confidence = Some(confidence);
+                frame.up = UpSummary::new(frame.up.from, Some(confidence));
                 frame
             }
         }
@@ -168,18 +209,37 @@ fn first_camera() -> MapFrame {
     MapFrame::new(z_up_from_camera_world(), description, "first-camera")
 }
 
+/// The same, because the scene is not sure.
+fn uncertain() -> MapFrame {
+    MapFrame {
+        description:
+            "z up uncertain, as the first camera was held, x ahead, origin at the first keyframe"
+                .to_owned(),
+        ..first_camera()
+    }
+}
+
 /// The frame with the floor, where there is one, at z = 0.
 fn level(up_in_world: &Vec3, floor: Option<&Floor>, said: &str, from: &'static str) -> MapFrame {
     let origin = match floor {
-        Some(_) => "z = 0 at the floor, below the first keyframe",
+        Some(floor) if floor.is_floor() => "z = 0 at the floor, below the first keyframe",
+        Some(_) => {
+            "z = 0 at the largest level surface (a table?), below the first keyframe (no floor was seen)"
+        }
         None => "origin at the first keyframe (no floor was seen)",
     };
     let description = format!("z up {said}, x ahead of the first camera, {origin}");
-    MapFrame {
-        floor: floor.map(|floor| FloorSummary {
+    let summary = |is_floor: bool| {
+        let floor = floor.filter(|floor| floor.is_floor() == is_floor)?;
+        Some(FloorSummary {
             camera_height: floor.camera_height,
             share: floor.share,
-        }),
+            below: floor.below,
+        })
+    };
+    MapFrame {
+        floor: summary(true),
+        level_surface: summary(false),
         ..MapFrame::new(level_from_world(up_in_world, floor), description, from)
     }
 }
@@ -238,9 +298,13 @@ impl Align {
                 map_from_world,
                 description,
                 is_metric,
+                ground,
             } => {
                 let frame = MapFrame {
                     is_aligned: *is_metric,
+                    up: UpSummary::new("earlier", ground.confidence),
+                    floor: ground.floor,
+                    level_surface: ground.level_surface,
                     ..MapFrame::new(*map_from_world, description, "earlier")
                 };
                 (frame, None)
@@ -280,11 +344,9 @@ impl MapFrame {
             description: description.into(),
             is_aligned: false,
             fit: None,
-            up: UpSummary {
-                from,
-                confidence: None,
-            },
+            up: UpSummary::new(from, None),
             floor: None,
+            level_surface: None,
         }
     }
     /// The same frame with lengths in metres, of which a unit of the world has so many.
@@ -293,8 +355,9 @@ impl MapFrame {
         self.map_from_world = scaled * self.map_from_world;
         self.description += ", in metres by the inertial sensor";
         self.is_aligned = true;
-        if let Some(floor) = &mut self.floor {
-            floor.camera_height *= metres;
+        let levels = [&mut self.floor, &mut self.level_surface];
+        for level in levels.into_iter().flatten() {
+            level.camera_height *= metres;
         }
         self
     }
@@ -350,6 +413,41 @@ mod tests {
     }
 
     #[test]
+    fn a_table_is_no_floor_and_everything_says_so() {
+        let surface = |below: f64| Floor {
+            height: -0.8,
+            camera_height: 0.7,
+            share: 0.5,
+            below,
+        };
+        let frame = |below: f64| level(&-Vec3::y(), Some(&surface(below)), "as given", "given");
+        let (floor, table) = (frame(0.0005), frame(0.02));
+        assert_eq!(floor.floor.map(|floor| floor.camera_height), Some(0.7));
+        assert_eq!(floor.level_surface, None);
+        assert_eq!(table.floor, None);
+        assert_eq!(table.level_surface.map(|table| table.below), Some(0.02));
+        assert!(table.description.contains("a table?"), "{table:?}");
+        // z = 0 is there all the same
+        assert_eq!(table.map_from_world, floor.map_from_world);
+        assert_eq!(
+            frame(0.02)
+                .in_metres(2.0)
+                .level_surface
+                .map(|s| s.camera_height),
+            Some(1.4)
+        );
+    }
+
+    #[test]
+    fn up_is_certain_where_somebody_knows_it() {
+        let is_certain = |from, confidence| UpSummary::new(from, confidence).is_certain;
+        assert!(is_certain("imu", None) && is_certain("given", None));
+        assert!(is_certain("scene", Some(0.6)) && !is_certain("scene", Some(0.46)));
+        assert!(!is_certain("first-camera", Some(0.1)) && !is_certain("first-camera", None));
+        assert!(is_certain("earlier", Some(0.6)) && !is_certain("earlier", Some(0.3)));
+    }
+
+    #[test]
     fn a_scene_that_is_not_sure_leaves_up_to_the_first_camera() {
         let config = UprightConfig::default();
         let mut nothing = || Scene {
@@ -361,6 +459,7 @@ mod tests {
         assert_eq!(frame.map_from_world, z_up_from_camera_world());
         assert_eq!(frame.up.from, "first-camera");
         assert_eq!(frame.up.confidence, Some(0.0));
+        assert!(frame.description.contains("uncertain"), "{frame:?}");
         assert_eq!((frame.floor, warning), (None, None));
         let (frame, _) = Align::Level(Up::Given(-Vec3::z())).frame(&[], &unsensed, &mut nothing);
         assert!((frame.map_from_world.rotation * -Vec3::z() - Vec3::z()).norm() < 1e-12);

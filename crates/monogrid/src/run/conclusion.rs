@@ -7,6 +7,8 @@ use super::whole::Finished;
 use crate::commands::print_json;
 use crate::failure::{CommandResult, Failure};
 use crate::output::OutputFolder;
+use crate::seen::{name, no_map};
+use monogrid_calibration::CameraMotion;
 use std::path::Path;
 
 /// Says how it went; the exit code.
@@ -41,6 +43,10 @@ pub fn verdict(summary: &Summary, tracked: &Tracked) -> String {
                 "Tracking never started ({reason}). The camera must move sideways while it sees texture; there is no map."
             )
         }
+        Status::StandsStill | Status::OnlyTurns => {
+            let said = tracked.no_map.and_then(no_map);
+            said.unwrap_or("There is no map.").to_owned()
+        }
         Status::NotRecognised if num_apart > 0 => format!(
             "The camera was never recognised in the map. What it saw is kept as {num_apart} fragment(s) beside it, which a later run may join."
         ),
@@ -66,10 +72,38 @@ pub fn verdict(summary: &Summary, tracked: &Tracked) -> String {
         Status::Interrupted => format!(
             "Interrupted; {share} % of the frames until then have a pose, everything is saved."
         ),
-        Status::Done if num_lost > 0 => format!(
-            "{share} % of the frames have a pose; tracking was lost {num_lost} times and found again."
+        Status::Partial => format!(
+            "Only {share} % of the frames have a pose in the map: {}.",
+            after_losses(num_lost, num_apart)
         ),
-        Status::Done => format!("{share} % of the frames have a pose; tracking was never lost."),
+        Status::Done if summary.keyframes == 1 && !summary.localise_only => format!(
+            "All that is mapped was seen from about one place: the map has one keyframe, and {} of {} frames were seen from near it.",
+            summary.tracked, summary.frames
+        ),
+        Status::Done => format!(
+            "{share} % of the frames have a pose; {}.",
+            after_losses(num_lost, num_apart)
+        ),
+    }
+}
+
+/// What became of tracking after it was lost so many times, of which so many left fragments that are not in the map.
+fn after_losses(num_lost: usize, num_apart: usize) -> String {
+    let times = |num: usize| match num {
+        1 => "once".to_owned(),
+        num => format!("{num} times"),
+    };
+    match (num_lost, num_apart) {
+        (0, _) => "tracking was never lost".to_owned(),
+        (_, 0) => format!("tracking was lost {} and found again", times(num_lost)),
+        (_, 1) => format!(
+            "tracking was lost {}, and what was seen after one of the losses is not in the map",
+            times(num_lost)
+        ),
+        _ => format!(
+            "tracking was lost {}, and what was seen after {num_apart} of the losses is not in the map",
+            times(num_lost)
+        ),
     }
 }
 
@@ -101,8 +135,13 @@ fn summary_lines(summary: &Summary, folder: &Path) -> String {
     if !summary.localise_only && keyframes > 0 {
         lines.push(format!("frame: {}", summary.frame));
     }
+    lines.extend(summary.trust.clone());
     lines.extend(summary.inertial.as_ref().map(InertialSummary::line));
-    lines.extend(summary.map.cell.map(|cell| cell.reason(unit)));
+    let shows_depth = summary
+        .motion
+        .is_none_or(|did| did == name(CameraMotion::Moves));
+    let cell = summary.map.cell;
+    lines.extend(cell.map(|cell| cell.reason(unit, shows_depth)));
     lines.extend(about_fragments(summary));
     if summary.parts > 1 {
         lines.push(format!(
@@ -172,7 +211,17 @@ fn about_fragments(summary: &Summary) -> impl Iterator<Item = String> {
 
 #[cfg(test)]
 mod tests {
-    use super::percent;
+    use super::{after_losses, percent};
+
+    #[test]
+    fn found_again_is_what_is_in_the_map() {
+        assert_eq!(after_losses(0, 0), "tracking was never lost");
+        assert!(after_losses(1, 0).ends_with("once and found again"));
+        for said in [after_losses(2, 1), after_losses(3, 2)] {
+            assert!(!said.contains("found again"), "{said}");
+            assert!(said.contains("not in the map"), "{said}");
+        }
+    }
 
     #[test]
     fn a_hundred_percent_are_all() {

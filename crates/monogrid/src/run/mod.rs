@@ -34,6 +34,7 @@ mod submaps;
 pub mod summary;
 pub mod threads;
 mod tracking;
+mod trust;
 pub mod whole;
 
 pub use live::View;

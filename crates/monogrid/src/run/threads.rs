@@ -13,6 +13,7 @@ use crate::input::Input;
 use crate::interrupt::INTERRUPTED;
 use crate::output::OutputFolder;
 use crate::usage::process_cpu;
+use monogrid_calibration::CameraMotion;
 use monogrid_datasets::SessionInfo;
 use monogrid_pipeline::{Finished, Pipeline, Reading, Settings, attempt, read_ahead};
 
@@ -48,6 +49,8 @@ pub struct Tracked {
     pub doubts: Vec<String>,
     /// Time from the first row of an image to the last, given or found, ms.
     pub readout_ms: f64,
+    /// How the camera moves, where that is why there is no map.
+    pub no_map: Option<CameraMotion>,
 }
 
 /// Of a run that is not interrupted.
@@ -90,7 +93,11 @@ pub fn track(
     let places = (input, folder.path());
     let colours = frame_colours.as_deref();
     let mut tracking = Tracking::begin((pipeline, viewer, colours), settings, places, interrupted);
-    let source = input.source(colours);
+    // nothing is tracked where nothing can be mapped
+    let source = match input.no_map() {
+        Some(_) => Box::new(std::iter::empty()),
+        None => input.source(colours),
+    };
     let take = |frame| tracking.take(frame);
     let reading = match attempt(|| read_ahead(source, &input.preparation, reading, take)) {
         Ok(reading) => reading.while_running("frames cannot be read")?,

@@ -13,7 +13,9 @@ use crate::frame_colours::FrameColours;
 use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
 use crate::memory;
 use crate::rolling::ShutterSearch;
+use crate::seen::{no_map, watch_of_working_images};
 use crate::usage::process_cpu;
+use monogrid_calibration::{CameraMotion, MotionWatch};
 use monogrid_image::GrayImage;
 use monogrid_pipeline::{
     Event, Pace, Pipeline, PipelineError, ReadFrame, ReadOn, Rectification, Unusable,
@@ -54,6 +56,9 @@ pub struct Tracking<'a> {
     early_end: Option<EarlyEnd>,
     calibration: CalibrationCheck<'a>,
     shutter: ShutterSearch,
+    /// How the camera moves, where nobody could look before.
+    watch: Option<MotionWatch>,
+    no_map: Option<CameraMotion>,
     progress: Progress,
     viewer: Option<&'a mut Viewer>,
     colours: Option<&'a FrameColours>,
@@ -70,6 +75,8 @@ impl<'a> Tracking<'a> {
         interrupted: &'a AtomicBool,
     ) -> Self {
         let num_frames = input.expected_frames().unwrap_or(0);
+        let is_told = settings.seed_depth.is_some() || settings.continued.is_some();
+        let may_be_refused = !input.is_repeatable() && !is_told;
         Self {
             num_keyframes: pipeline.slam().num_keyframes(),
             pipeline,
@@ -81,6 +88,8 @@ impl<'a> Tracking<'a> {
             early_end: None,
             calibration: CalibrationCheck::new(input, settings.pace == Pace::Taken),
             shutter: ShutterSearch::new(input),
+            watch: may_be_refused.then(|| watch_of_working_images(input)),
+            no_map: input.no_map(),
             progress: Progress::new(num_frames, settings.show_progress),
             viewer,
             colours,
@@ -197,6 +206,9 @@ impl<'a> Tracking<'a> {
             image,
             seed_depth,
         };
+        if let Some(watch) = self.watch.as_mut().filter(|watch| !watch.is_decided()) {
+            watch.add(&frame.image);
+        }
         let mut posed = None;
         fault::pass("tracking");
         let report = self.pipeline.track_telling(frame, &mut |_| {
@@ -309,7 +321,13 @@ impl<'a> Tracking<'a> {
             salvage.keep(self.pipeline.slam(), size, rows.len());
         }
         self.early_end = self.early_end.take().or_else(|| self.end_of_source(&rows));
-        let doubts = self.doubts(&rows);
+        let mut doubts = self.doubts(&rows);
+        let seen = self.watch.take().map(MotionWatch::conclusion);
+        let mut seen = seen.filter(|did| no_map(*did).is_some());
+        if self.early_end.is_some() {
+            // what came before the end is kept as it is
+            doubts.extend(seen.take().and_then(no_map).map(str::to_owned));
+        }
         let limit = self.settings.memory_limit;
         if let Some(viewer) = self.viewer {
             viewer.note_end();
@@ -342,6 +360,7 @@ impl<'a> Tracking<'a> {
             early_end,
             doubts,
             readout_ms: self.shutter.wanted_ms,
+            no_map: self.no_map.or(seen),
         })
     }
 }

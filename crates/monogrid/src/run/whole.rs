@@ -12,6 +12,7 @@ use super::sessions::{RECORDING, tracked_frame};
 use super::summary::{Summary, is_metric, unit_name};
 use super::threads::{Tracked, track, viewer};
 use super::tracking::EarlyEnd;
+use super::trust::trust;
 use super::{MemoryLimit, RunSettings};
 use crate::colours::Colours;
 use crate::explorer::{SemiDense, ShownKeyframe};
@@ -121,13 +122,13 @@ fn run_watched(
     };
     let pictures = maps.as_ref().map(write).transpose()?;
     let mut extras = extras(&tracked, maps.as_ref())?;
-    let doubts = tracked.doubts.iter().cloned();
-    extras.warnings.extend(doubts.chain(not_compared));
+    (extras.warnings).extend(tracked.doubts.iter().cloned().chain(not_compared));
     let mut summary = summary(input, settings, &tracked, &looked, maps.as_ref(), extras);
+    summary.map.band = pictures.as_ref().and_then(|drawn| drawn.band);
     let verdict = verdict(&summary, &tracked);
     let report = ReportInput {
         title: &format!("monogrid: {}", input.name),
-        verdict: &verdict,
+        lead: &lead(&summary, &verdict),
         summary: &summary,
         frame: &looked.frame,
         reference: Reference::new(&known, &poses),
@@ -147,6 +148,12 @@ fn run_watched(
         verdict,
         failure,
     })
+}
+
+/// The first lines of the report: how far to trust the map, and how the run went.
+fn lead(summary: &Summary, verdict: &str) -> String {
+    let trust = summary.trust.iter().map(String::as_str);
+    trust.chain([verdict]).collect::<Vec<_>>().join(" ")
 }
 
 fn write_summary(folder: &OutputFolder, summary: &mut Summary) -> Result<(), Failure> {
@@ -180,6 +187,7 @@ fn play(
 fn ground(tracked: &Tracked, frame: &MapFrame) -> Ground {
     Ground {
         has_floor: frame.floor.is_some(),
+        has_level_surface: frame.level_surface.is_some(),
         is_metric: is_metric(tracked, frame),
     }
 }
@@ -211,6 +219,7 @@ fn summary(
     summary.inertial.clone_from(&looked.sensed.summary);
     summary.depth = extras.depth;
     summary.map_error = extras.map;
+    summary.trust = trust(&summary, input);
     summary
 }
 
@@ -341,6 +350,9 @@ impl Reference {
 
 /// The final depth of the keyframes; that of the filter where making it better has failed.
 fn final_depth(tracked: &mut Tracked, settings: &RunSettings) -> Vec<KeyframeScan> {
+    if tracked.no_map.is_some() {
+        return Vec::new();
+    }
     let (limit, before) = (settings.memory_limit, process_cpu());
     match limit {
         Some(limit) => limit.apply(&tracked.run.slam),
@@ -450,6 +462,9 @@ fn final_maps(
     path: &[[f64; 3]],
     settings: &RunSettings,
 ) -> Result<Option<Maps>, String> {
+    if tracked.no_map.is_some() {
+        return Ok(None);
+    }
     let before = process_cpu();
     leave_room(tracked, settings.memory_limit);
     let camera = path.last().map(|point| Vec3::from(*point));

@@ -4,7 +4,8 @@
 //! so that the horizon is roughly level. From all keyframes: **planes** of their depth and **straight edges** of their
 //! images ([`evidence`]) vote for directions that are normal to planes, or lie in planes and along edges ([`vote`]); three
 //! directions of a room get many votes, and how the camera was held, over all keyframes and not only in the first, says
-//! which of them is up. The **floor** is the lowest level plane below the cameras that much is seen of ([`floor`]).
+//! which of them is up. The **floor** is the lowest level plane below the cameras that much is seen of, if (almost) nothing lies
+//! below it ([`floor`]).
 
 mod evidence;
 mod floor;
@@ -56,7 +57,7 @@ pub struct Upright {
     pub up_in_world: Vec3,
     /// From 0 (a guess) to 1.
     pub confidence: f64,
-    /// The floor, where one is seen.
+    /// The floor, or the level surface that looks most like one, where one is seen.
     pub floor: Option<Floor>,
 }
 
@@ -67,7 +68,7 @@ pub struct Upright {
 pub fn upright(views: &[UprightView], config: &UprightConfig) -> Option<Upright> {
     let evidence = Evidence::of(views, config);
     let mut upright = vote::vote(&evidence, config)?;
-    upright.floor = floor::floor(&evidence, &upright.up_in_world, config);
+    upright.floor = floor::floor(views, &evidence, &upright.up_in_world, config);
     Some(upright)
 }
 
@@ -79,7 +80,7 @@ pub fn floor_below(
     config: &UprightConfig,
 ) -> Option<Floor> {
     let evidence = Evidence::of(views, config);
-    floor::floor(&evidence, &up_in_world.normalize(), config)
+    floor::floor(views, &evidence, &up_in_world.normalize(), config)
 }
 
 /// The frame with z along `up_in_world`, x ahead of the first camera (which the world is the frame of) and z = 0 at the

@@ -144,11 +144,23 @@ fn a_table_is_not_the_floor_but_is_all_that_there_is_without_one() {
     let (with_table, _) = found(&room(Some(0.7)), &cameras, 1.0);
     let floor = with_table.floor.unwrap();
     assert!((floor.camera_height - 1.4).abs() < 0.03, "{floor:?}");
+    assert!(floor.is_floor(), "{floor:?}");
     // a wall to the left and one ahead: nothing is level
     let mut without = room(None);
     without.planes.retain(|(normal, _)| normal.z.abs() < 0.5);
     let (found, _) = found(&without, &cameras, 1.0);
     assert_eq!(found.floor, None);
+}
+
+#[test]
+fn a_table_is_no_floor_where_something_lies_below_it() {
+    // the floor itself is not seen, only walls that go on below the table
+    let mut room = room(Some(0.7));
+    room.planes.retain(|(normal, _)| normal.z < 0.5);
+    let (over_table, _) = found(&room, &room_from_cameras(6, 35.0, 0.0), 1.7);
+    let table = over_table.floor.unwrap();
+    assert!((table.camera_height * 1.7 - 0.7).abs() < 0.03, "{table:?}");
+    assert!(!table.is_floor(), "{table:?}");
 }
 
 #[test]
@@ -183,6 +195,7 @@ fn the_level_frame_has_up_as_z_and_ahead_as_x() {
         height: -1.5,
         camera_height: 1.4,
         share: 1.0,
+        below: 0.0,
     };
     for up in [
         Vec3::new(0.1, -0.9, -0.3),

@@ -108,11 +108,17 @@ pub fn write_component(
     let frame = Recorded::read(&recording, &Align::Level(Up::Scene))?.frame;
     folder.write(&frame_file, format_sim3(&frame.map_from_world))?;
     let path = write_paths(folder, component, &frames, &frame, parts)?;
-    let [up, floor] = match reference.filter(|_| known.is_some()) {
-        Some(part) => ["up", "floor"].map(|key| part.summary[key].clone()),
-        None => [json!(frame.up), json!(frame.floor)],
+    let [up, floor, surface] = match reference.filter(|_| known.is_some()) {
+        Some(part) => ["up", "floor", "level_surface"].map(|key| part.summary[key].clone()),
+        None => [
+            json!(frame.up),
+            json!(frame.floor),
+            json!(frame.level_surface),
+        ],
     };
-    let facts = json!({ "scale": scale, "frame": frame.description, "up": up, "floor": floor });
+    let facts = json!({
+        "scale": scale, "frame": frame.description, "up": up, "floor": floor, "level_surface": surface,
+    });
     write_facts(&facts)?;
     Ok(Written {
         place: place.clone(),

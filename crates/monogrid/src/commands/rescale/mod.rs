@@ -85,6 +85,7 @@ pub fn execute(args: &RescaleArgs) -> CommandResult {
         recording: &recording,
         map_from_world,
         camera_height: summary["floor"]["camera_height"].as_f64(),
+        is_over_surface: !summary["level_surface"].is_null(),
         trajectory: args.run.join("trajectory.txt"),
     })?;
     let folder = OutputFolder::replace(&args.out, args.write.force, &inputs)?;
@@ -122,8 +123,10 @@ fn summary(run: &Path) -> Result<Value, Failure> {
 fn rescaled_summary(mut summary: Value, factor: f64) -> Value {
     summary["scale"] = "metric".into();
     summary["metres_per_map_unit"] = factor.into();
-    if let Some(height) = summary["floor"]["camera_height"].as_f64() {
-        summary["floor"]["camera_height"] = (height * factor).into();
+    for level in ["floor", "level_surface"] {
+        if let Some(height) = summary[level]["camera_height"].as_f64() {
+            summary[level]["camera_height"] = (height * factor).into();
+        }
     }
     if let Some(summary) = summary.as_object_mut() {
         for key in ["trajectory", "depth", "map_error"] {
@@ -234,6 +237,7 @@ pub fn write_maps(
     folder.write(SUMMARY, summary.to_string())?;
     let ground = Ground {
         has_floor: !summary["floor"].is_null(),
+        has_level_surface: !summary["level_surface"].is_null(),
         is_metric: summary["scale"] == "metric",
     };
     let recorded = Recorded::read(&folder.path().join(RECORDING), &Align::Level(Up::Scene))?;
@@ -252,12 +256,13 @@ pub fn write_maps(
         colours: &recorded.cell_colours(&scans, global.resolution()),
         config: &config.mesh,
     };
-    write_global(folder, [&global, &local], path, ground, surface)?;
+    let (_, pictures) = write_global(folder, [&global, &local], path, ground, surface)?;
     summary["map"] = json!({
         "resolution": global.resolution(),
         "leaves": global.leaf_count(),
         "bytes_in_memory": global.bytes_in_memory(),
         "cell": null,
+        "band": pictures.band,
     });
     let text = serde_json::to_string_pretty(&summary).map_err(Failure::running)?;
     folder.write(SUMMARY, text + "\n")?;

@@ -41,6 +41,8 @@ pub struct Results<'a> {
     pub map_from_world: Sim3,
     /// Median height of the camera over the floor, map units, where a floor was found.
     pub camera_height: Option<f64>,
+    /// Whether a level surface was found that is no floor.
+    pub is_over_surface: bool,
     /// The trajectory of the results.
     pub trajectory: PathBuf,
 }
@@ -79,7 +81,10 @@ impl ScaleFrom {
             }
             Self::CameraHeight(metres) => {
                 let height = results.camera_height.ok_or_else(|| {
-                    Failure::input("camera-height: no floor was found in this run; use a distance")
+                    Failure::input(match results.is_over_surface {
+                        true => "camera-height: found the largest level surface, below which things lie (a table?), expected a floor; use a distance",
+                        false => "camera-height: no floor was found in this run; use a distance",
+                    })
                 })?;
                 metres / height
             }

@@ -22,6 +22,8 @@ pub struct MapPictures {
     pub cut: Option<f64>,
     /// Surface of the global map, where it was asked for.
     pub mesh: Option<ColouredMesh>,
+    /// Lowest and highest z of the map seen from above.
+    pub band: Option<[f64; 2]>,
 }
 
 /// Writes the maps in all formats, and pictures of them; those of what loops corrected where the path before the corrections
@@ -80,11 +82,11 @@ pub fn write_global(
 ) -> Result<(Vec<Cube>, MapPictures), Failure> {
     let draw = || {
         let cubes = occupied_cubes(global).while_running("the map cannot be projected")?;
-        write_grid(folder, global, &cubes, path, ground)?;
+        let band = write_grid(folder, global, &cubes, path, ground)?;
         let cut = dollhouse_cut(&cubes, path);
         let preview = encode_png_rgb(&render(&cubes, path, cut, &View::default()));
         folder.write("preview.png", &preview)?;
-        Ok((cubes, preview, cut))
+        Ok((cubes, preview, cut, band))
     };
     let rest = || {
         rayon::join(
@@ -94,12 +96,13 @@ pub fn write_global(
     };
     let (drawn, (mesh, written)) = rayon::join(draw, rest);
     written?;
-    let (cubes, preview, cut) = drawn?;
+    let (cubes, preview, cut, band) = drawn?;
     let pictures = MapPictures {
         preview,
         loops: None,
         cut,
         mesh: mesh?,
+        band,
     };
     Ok((cubes, pictures))
 }
@@ -184,25 +187,28 @@ fn extent(cubes: &[Cube]) -> Option<[[f64; 3]; 2]> {
 pub struct Ground {
     /// Whether the floor was found: it is at z = 0 then.
     pub has_floor: bool,
+    /// Whether a level surface is at z = 0 that is no floor.
+    pub has_level_surface: bool,
     /// Whether lengths are metres.
     pub is_metric: bool,
 }
 
-/// Writes the map seen from above.
+/// Writes the map seen from above; the heights that it shows.
 fn write_grid(
     folder: &OutputFolder,
     map: &OccupancyMap,
     cubes: &[Cube],
     path: &[[f64; 3]],
     ground: Ground,
-) -> Result<(), Failure> {
+) -> Result<Option<[f64; 2]>, Failure> {
     let heights = cubes.iter().map(|cube| cube.center[2]);
-    if let Some((grid, band)) = seen_from_above(map, heights, path, ground) {
-        folder.write("map.pgm", grid.to_pgm())?;
-        let note = grid_note(band, ground);
-        folder.write("map.yaml", grid.to_yaml("map.pgm") + &note)?;
-    }
-    Ok(())
+    let Some((grid, band)) = seen_from_above(map, heights, path, ground) else {
+        return Ok(None);
+    };
+    folder.write("map.pgm", grid.to_pgm())?;
+    let note = grid_note(band, ground);
+    folder.write("map.yaml", grid.to_yaml("map.pgm") + &note)?;
+    Ok(Some(band))
 }
 
 /// The map seen from above, of the heights that matter, and these; `heights` are those of its occupied cells. `None` where nothing
@@ -230,9 +236,12 @@ pub const UNKNOWN_SCALE_WARNING: &str = "# WARNING: the scale is unknown: resolu
 
 /// What the description of the grid says to people, as comments.
 fn grid_note([low, high]: [f64; 2], ground: Ground) -> String {
-    let over = match ground.has_floor {
-        true => "over the floor",
-        false => "(no floor was found)",
+    let over = match (ground.has_floor, ground.has_level_surface) {
+        (true, _) => "over the floor",
+        (false, true) => {
+            "(no floor was found: z = 0 is the largest level surface, perhaps a table)"
+        }
+        (false, false) => "(no floor was found)",
     };
     let unit = if ground.is_metric { "m" } else { "map units" };
     let mut note = format!("# cells from z = {low:.3} to {high:.3} {unit} {over}\n");
@@ -250,15 +259,22 @@ mod tests {
     fn a_grid_of_unknown_scale_warns_whoever_reads_it() {
         let unknown = Ground {
             has_floor: false,
+            has_level_surface: false,
             is_metric: false,
         };
         assert!(grid_note([0.1, 1.0], unknown).contains("WARNING"));
         let metric = Ground {
             has_floor: true,
+            has_level_surface: false,
             is_metric: true,
         };
         let note = grid_note([0.1, 1.0], metric);
         assert!(!note.contains("WARNING") && note.contains("over the floor"));
+        let over_table = Ground {
+            has_level_surface: true,
+            ..unknown
+        };
+        assert!(grid_note([0.1, 1.0], over_table).contains("table"));
         // all of it is comments for a reader of YAML
         assert!(
             grid_note([0.1, 1.0], unknown)

@@ -30,8 +30,8 @@ const SHOWN_KEYFRAMES: usize = 8;
 pub struct ReportInput<'a> {
     /// Heading.
     pub title: &'a str,
-    /// One sentence for people.
-    pub verdict: &'a str,
+    /// How far to trust the map, and how the run went, in sentences for people.
+    pub lead: &'a str,
     /// Numbers.
     pub summary: &'a Summary,
     /// The frame of the results.
@@ -76,7 +76,7 @@ pub fn write_page(
         let scene = explore::scene(tracked, input)?;
         explorer::write_section(out, &scene)
     };
-    warnings.write_around(out, (input.title, input.verdict), explorer, &rest)
+    warnings.write_around(out, (input.title, input.lead), explorer, &rest)
 }
 
 fn below_the_explorer(tracked: &Tracked, input: &ReportInput) -> Page {

@@ -11,7 +11,7 @@ pub use stored::tracked_frame;
 use crate::colours::Colours;
 use crate::failure::{Classify, Failure};
 use crate::input::Input;
-use crate::run::align::Align;
+use crate::run::align::{Align, KnownGround};
 use monogrid_datasets::{
     Continuation, FragmentKeyframe, KeyframeLink, RecordedFrame, RecordedSession, SessionInfo,
     read_sim3,
@@ -137,10 +137,17 @@ pub fn frame_beside(recording: &Path) -> Result<Option<Align>, Failure> {
     let summary = std::fs::read_to_string(folder.join("summary.json")).unwrap_or_default();
     let summary: serde_json::Value = serde_json::from_str(&summary).unwrap_or_default();
     let said = |key: &str| summary.get(key)?.as_str().map(str::to_owned);
+    let level = |key: &str| serde_json::from_value(summary.get(key)?.clone()).ok();
+    let ground = KnownGround {
+        confidence: summary["up"]["confidence"].as_f64(),
+        floor: level("floor"),
+        level_surface: level("level_surface"),
+    };
     Ok(Some(Align::Map {
         map_from_world: read_sim3(&frame_file).bad_input()?,
         description: said("frame").unwrap_or_else(|| "the frame of the run".to_owned()),
         is_metric: said("scale").as_deref() == Some("metric"),
+        ground,
     }))
 }
 
@@ -218,5 +225,42 @@ fn of_links(
         points: Vec::new(),
         frames,
         fragments: apart.map(fragment).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::run::align::Scene;
+    use crate::run::sensed::SensedFrame;
+
+    #[test]
+    fn what_is_known_of_up_and_floor_is_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let write =
+            |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
+        write(MAP_FROM_WORLD, "1 0 0 0.5 0 0 0 1\n");
+        let mut frame_of = |summary: &str| {
+            write("summary.json", summary);
+            let beside = frame_beside(&folder.path().join(RECORDING))
+                .unwrap()
+                .unwrap();
+            let mut never = || -> Scene { unreachable!("the frame is known") };
+            beside.frame(&[], &SensedFrame::default(), &mut never).0
+        };
+        let floor = frame_of(
+            r#"{"up": {"confidence": 0.3}, "floor": {"camera_height": 1.2, "share": 0.4, "below": 0.0}}"#,
+        );
+        assert_eq!(floor.floor.map(|floor| floor.camera_height), Some(1.2));
+        assert_eq!(floor.up.confidence, Some(0.3));
+        assert!(!floor.up.is_certain);
+        let table = frame_of(
+            r#"{"up": {"confidence": 0.8}, "floor": null, "level_surface": {"camera_height": 0.5, "share": 0.4, "below": 0.1}}"#,
+        );
+        assert_eq!((table.floor, table.up.is_certain), (None, true));
+        assert_eq!(table.level_surface.map(|table| table.below), Some(0.1));
+        // of an earlier version
+        let old = frame_of(r#"{"floor": {"camera_height": 1.2, "share": 0.4}}"#);
+        assert!(old.floor.is_some());
     }
 }

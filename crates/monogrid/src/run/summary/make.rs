@@ -7,6 +7,7 @@ use crate::run::align::MapFrame;
 use crate::run::frames::{FrameFate, FrameRow};
 use crate::run::sessions::sessions;
 use crate::run::threads::Tracked;
+use crate::seen::name;
 
 use monogrid_slam::mapping::Maps;
 use monogrid_slam::{KeyframeId, Scale, Slam};
@@ -30,7 +31,7 @@ impl Summary {
             source: input.name.clone(),
             version: env!("CARGO_PKG_VERSION"),
             status: Status::of(tracked, settings),
-            frames: tracked.rows.len() - repeated,
+            frames: num_frames(input, tracked) - repeated,
             repeated,
             tracked: tracked.run.trajectory.len(),
             skipped: count(tracked, |fate| matches!(fate, FrameFate::Skipped(_))),
@@ -53,10 +54,7 @@ impl Summary {
             points,
             frames_per_second: 0.0,
             seconds: stage_seconds(tracked),
-            mapping_seconds_per_100k_points: match points {
-                0 => 0.0,
-                _ => tracked.cpu.mapping.as_secs_f64() * 1e5 / points as f64,
-            },
+            mapping_seconds_per_100k_points: mapping_seconds(tracked, points),
             map: map_facts(maps, settings),
             peak_rss_bytes: None,
             memory_bytes: tracked.run.map_size.bytes,
@@ -67,11 +65,14 @@ impl Summary {
             frame: frame.description.clone(),
             up: frame.up,
             floor: frame.floor,
+            level_surface: frame.level_surface,
             inertial: None,
             profile: settings.config.profile.name(),
             seed: settings.config.seed,
             working_size: [width, height],
             threads: settings.threads,
+            motion: input.motion.map(|motion| name(motion.did)),
+            trust: None,
             warnings: Vec::new(),
             trajectory: frame.fit.clone(),
             depth: None,
@@ -82,11 +83,26 @@ impl Summary {
     }
 }
 
+/// Frames of the source: where nothing was tracked, those that were looked at.
+fn num_frames(input: &Input, tracked: &Tracked) -> usize {
+    let looked_at = input.motion.filter(|_| input.no_map().is_some());
+    looked_at.map_or(tracked.rows.len(), |motion| motion.num_frames)
+}
+
+/// CPU time of mapping for each 100 000 measurements.
+fn mapping_seconds(tracked: &Tracked, points: usize) -> f64 {
+    match points {
+        0 => 0.0,
+        _ => tracked.cpu.mapping.as_secs_f64() * 1e5 / points as f64,
+    }
+}
+
 fn map_facts(maps: Option<&Maps>, settings: &RunSettings) -> MapFacts {
     let asked = settings.config.mapping.resolution;
     MapFacts {
         resolution: maps.map_or(asked, |maps| maps.global.resolution()),
         cell: None,
+        band: None,
         leaves: maps.map_or(0, |maps| maps.global.leaf_count()),
         bytes_in_memory: maps.map_or(0, |maps| maps.global.bytes_in_memory()),
     }

@@ -19,7 +19,7 @@ use serde::{Serialize, Serializer};
 /// What `scale` says of metres.
 const METRIC: &str = "metric";
 /// And of everything else.
-const ARBITRARY: &str = "arbitrary";
+pub const ARBITRARY: &str = "arbitrary";
 
 /// Seconds of a run.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
@@ -74,6 +74,8 @@ pub struct MapFacts {
     pub resolution: f64,
     /// Why it is that, where it follows from the scene.
     pub cell: Option<SceneCell>,
+    /// Lowest and highest z of `map.pgm`; `null` where there is none.
+    pub band: Option<[f64; 2]>,
     /// Leaves of the pruned octree.
     pub leaves: usize,
     /// Memory of the map itself.
@@ -187,6 +189,8 @@ pub struct Summary {
     pub up: UpSummary,
     /// The floor at z = 0; `null` where none was found or looked for.
     pub floor: Option<FloorSummary>,
+    /// The level surface at z = 0 that is no floor, since things lie below it: a table, perhaps; `null` where there is none.
+    pub level_surface: Option<FloorSummary>,
     /// What the inertial sensor beside the camera says; not there without one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub inertial: Option<InertialSummary>,
@@ -198,6 +202,11 @@ pub struct Summary {
     pub working_size: [usize; 2],
     /// Threads of computation.
     pub threads: usize,
+    /// How the camera moves, as a look at the images said before: `moves`, `stands still`, `only turns`, `unclear`; `null` where nobody
+    /// could look, or need not.
+    pub motion: Option<&'static str>,
+    /// How far to trust the map, in a sentence; `null` where there is none.
+    pub trust: Option<String>,
     /// What the user should know.
     pub warnings: Vec<String>,
     /// Error against a reference trajectory, where one was given.

@@ -4,9 +4,10 @@
 
 use crate::failure::Outcome;
 use crate::run::RunSettings;
-use crate::run::frames::FrameRow;
+use crate::run::frames::{FrameFate, FrameRow};
 use crate::run::threads::Tracked;
 use crate::run::tracking::EarlyEnd;
+use monogrid_calibration::CameraMotion;
 use monogrid_slam::TrackingState;
 use serde::Serialize;
 
@@ -20,12 +21,18 @@ pub enum Status {
     Interrupted,
     /// Tracking never started.
     NotInitialised,
+    /// The camera stands still: there is no map.
+    StandsStill,
+    /// The camera only turns: there is no map.
+    OnlyTurns,
     /// The camera was never recognised in the map of the earlier run.
     NotRecognised,
     /// Tracking was lost for good.
     Lost,
     /// It ended in a fragment that was not joined.
     Fragment,
+    /// Fewer than half of the frames have a pose in the map, although the last ones do.
+    Partial,
     /// Too many images in a row could not be read.
     Unreadable,
     /// A part of the program failed; what was mapped until then is there.
@@ -42,6 +49,8 @@ impl Status {
             Some(EarlyEnd::Unreadable(..)) => Self::Unreadable,
             Some(EarlyEnd::BrokeOff(_)) => Self::BrokeOff,
             Some(EarlyEnd::Failed(_)) => Self::Failed,
+            None if tracked.no_map == Some(CameraMotion::StandsStill) => Self::StandsStill,
+            None if tracked.no_map == Some(CameraMotion::OnlyTurns) => Self::OnlyTurns,
             _ if tracked.run.slam.num_keyframes() == 0 => Self::NotInitialised,
             _ if settings.continued.is_some() && tracked.run.trajectory.is_empty() => {
                 Self::NotRecognised
@@ -49,6 +58,7 @@ impl Status {
             None => match end_of(&tracked.rows) {
                 Some(TrackingState::Lost) => Self::Lost,
                 Some(_) if !has_last_frame(tracked) => Self::Fragment,
+                _ if !is_half(tracked.run.trajectory.len(), &tracked.rows) => Self::Partial,
                 _ => Self::Done,
             },
         }
@@ -57,14 +67,25 @@ impl Status {
     /// Which exit code it has.
     pub fn outcome(self) -> Outcome {
         match self {
-            Self::NotInitialised | Self::NotRecognised | Self::Lost | Self::Fragment => {
-                Outcome::NotTracked
-            }
+            Self::NotInitialised
+            | Self::StandsStill
+            | Self::OnlyTurns
+            | Self::NotRecognised
+            | Self::Lost
+            | Self::Fragment
+            | Self::Partial => Outcome::NotTracked,
             Self::Interrupted => Outcome::Interrupted,
             // said as a failure
             Self::Done | Self::Unreadable | Self::BrokeOff | Self::Failed => Outcome::Done,
         }
     }
+}
+
+/// Whether so many poses are half of the frames or more: of those that tracking was asked for.
+fn is_half(num_poses: usize, rows: &[FrameRow]) -> bool {
+    let was_asked =
+        |row: &&FrameRow| matches!(row.fate, FrameFate::Processed(_) | FrameFate::Skipped(_));
+    2 * num_poses >= rows.iter().filter(was_asked).count()
 }
 
 /// Whether the last frame is in the map: a fragment may have been joined when the run was over.
@@ -98,7 +119,6 @@ fn end_of(rows: &[FrameRow]) -> Option<TrackingState> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::run::frames::FrameFate;
     use monogrid_slam::FrameReport;
 
     fn row(index: usize, state: TrackingState) -> FrameRow {
@@ -109,6 +129,29 @@ mod tests {
             fate: FrameFate::Processed(Box::new(FrameReport::new(index, timestamp_ns, state))),
             latency_ms: None,
         }
+    }
+
+    #[test]
+    fn half_of_the_frames_are_those_that_were_tracked() {
+        let mut rows: Vec<FrameRow> = (0..10).map(|i| row(i, TrackingState::Good)).collect();
+        assert!(is_half(5, &rows) && !is_half(4, &rows));
+        for fate in [
+            FrameFate::Repeated,
+            FrameFate::Dropped,
+            FrameFate::BeforeSeed,
+        ] {
+            rows.push(FrameRow {
+                fate,
+                ..row(10, TrackingState::Good)
+            });
+        }
+        assert!(is_half(5, &rows), "these were not asked for");
+        rows.push(FrameRow {
+            fate: FrameFate::Skipped("damaged".to_owned()),
+            ..row(11, TrackingState::Good)
+        });
+        assert!(!is_half(5, &rows));
+        assert_eq!(Status::Partial.outcome(), Outcome::NotTracked);
     }
 
     #[test]

@@ -1,0 +1,121 @@
+//! How far to trust a map, in one sentence: what is least certain, and how to film so that it is.
+
+use super::summary::{Status, Summary};
+use crate::input::Input;
+
+/// Things that are named, at most: the least certain ones.
+const MAX_NAMED: usize = 3;
+/// Share of the frames without a pose from which coverage is named.
+const MIN_MISSING: f64 = 0.1;
+
+/// What is uncertain of a map, and what makes it certain.
+struct Doubt {
+    what: &'static str,
+    cure: &'static str,
+}
+
+/// The sentence; `None` where there is no map.
+pub fn trust(summary: &Summary, input: &Input) -> Option<String> {
+    let has_map = summary.keyframes > 0 && !summary.localise_only;
+    let is_refused = matches!(summary.status, Status::StandsStill | Status::OnlyTurns);
+    if !has_map || is_refused {
+        return None;
+    }
+    Some(sentence(&doubts(summary, is_focal_assumed(input))))
+}
+
+fn is_focal_assumed(input: &Input) -> bool {
+    let own = input.own_calibration.as_ref();
+    own.is_some_and(|own| own.is_assumed)
+}
+
+/// What is uncertain, the worst first.
+fn doubts(summary: &Summary, is_focal_assumed: bool) -> Vec<Doubt> {
+    let missing = 1.0 - summary.tracked as f64 / summary.frames.max(1) as f64;
+    let is_open = summary.loop_closures == 0 && summary.keyframes >= OPEN_PATH;
+    let all = [
+        (
+            is_focal_assumed,
+            "the focal length, which is assumed: depth and shape may be stretched",
+            "turn the camera while moving it sideways, or give --calibration",
+        ),
+        (
+            summary.keyframes == 1,
+            "the depth, which was seen from about one place",
+            "move sideways",
+        ),
+        (
+            missing >= MIN_MISSING,
+            "what the frames without a pose saw, which is not in the map",
+            "film slowly where tracking was lost",
+        ),
+        (
+            summary.parts > 1 || !summary.bridges.is_empty(),
+            "how its parts lie to each other",
+            "film again across the places where tracking was lost",
+        ),
+        (
+            !summary.up.is_certain,
+            "up",
+            "hold the camera level while filming walls and floor, or give --up",
+        ),
+        (
+            summary.level_surface.is_some(),
+            "the floor: z = 0 is the largest level surface, perhaps a table",
+            "film the floor too",
+        ),
+        (
+            summary.floor.is_none() && summary.level_surface.is_none(),
+            "the floor, which was not seen",
+            "film the floor too",
+        ),
+        (
+            summary.scale == super::summary::ARBITRARY,
+            "the scale, which one camera does not show",
+            "see monogrid rescale",
+        ),
+        (
+            is_open,
+            "drift, which no closed loop has corrected",
+            "end where you began",
+        ),
+    ];
+    let found = all.into_iter().filter(|(is_doubted, ..)| *is_doubted);
+    found.map(|(_, what, cure)| Doubt { what, cure }).collect()
+}
+
+/// Keyframes from which a path without a loop may have drifted.
+const OPEN_PATH: usize = 30;
+
+fn sentence(doubts: &[Doubt]) -> String {
+    if doubts.is_empty() {
+        return "How far to trust this map: camera, scale, up and floor are known, and (nearly) all frames are in it.".to_owned();
+    }
+    let named = doubts.iter().take(MAX_NAMED);
+    let named: Vec<String> = named
+        .map(|doubt| format!("{} ({})", doubt.what, doubt.cure))
+        .collect();
+    format!(
+        "How far to trust this map: least certain {} {}.",
+        if named.len() == 1 { "is" } else { "are" },
+        named.join("; ")
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Doubt, sentence};
+
+    #[test]
+    fn the_three_least_certain_things_are_named() {
+        assert!(sentence(&[]).contains("are known"));
+        let doubts = ["focal length", "up", "scale", "drift"].map(|what| Doubt { what, cure: "x" });
+        let said = sentence(&doubts);
+        assert!(
+            said.contains("focal length (x); up (x); scale (x)."),
+            "{said}"
+        );
+        assert!(!said.contains("drift"));
+        assert!(sentence(&doubts[..1]).contains("least certain is focal length"));
+    }
+}
