@@ -233,7 +233,9 @@ impl RawInput {
         match (own, broke_off) {
             (Ok(own), _) => Ok(own),
             (Err(_), Some(reason)) => Err(Failure::running(reason)),
-            (Err(reason), None) => assumed(&reason),
+            (Err(reason), None) => {
+                assumed(&format!("{reason} (the map of a first pass may show it)"))
+            }
         }
     }
 

@@ -164,8 +164,8 @@ impl OwnCalibration {
         let (fov_deg, source) = (expected.fov_deg, expected.source);
         Some(Self {
             warnings: vec![format!(
-                "the focal length is not known: {reason}; {fov_deg:.0} degrees along the longer side are taken, {source}, unless the map of \
-                 a first pass shows it; give --calibration FILE or --fov DEG"
+                "the focal length is not known: {reason}; {fov_deg:.0} degrees along the longer side are taken, {source}; give \
+                 --calibration FILE or --fov DEG"
             )],
             ..own
         })

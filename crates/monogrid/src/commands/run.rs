@@ -228,7 +228,9 @@ fn alignment(args: &RunArgs, earlier: Option<&Earlier>) -> Result<Align, Failure
 fn open(args: &RunArgs, earlier: Option<&Earlier>, config: &RunConfig) -> Result<Input, Failure> {
     let Some(earlier) = earlier else {
         let mut input = open_source(args, args.input.clone(), config.working_size())?;
-        let is_own = input.own_calibration.is_some() && args.input.fov.is_none();
+        // what is seen only once has no first pass
+        let may_be_refined = args.input.fov.is_none() && input.is_repeatable();
+        let is_own = input.own_calibration.is_some() && may_be_refined;
         if args.refine_calibration && !input.is_repeatable() {
             return Err(Failure::input(
                 "--refine-calibration: found a stream, which is seen only once; expected a file, for a first pass",
