@@ -23,6 +23,8 @@ fn texture(x: f64, y: f64) -> f32 {
 
 /// A camera somewhere in a room with walls of that texture at x = 4 and -4, z = 4 and -4 and no end up and down.
 fn view(camera: &Camera, at: &Vec3, world_from_camera: &Rotation) -> GrayImage {
+    // about ten pixels from one level to the next, so that there are corners with any lens
+    let fine = camera.pinhole.fx / 43.0;
     let mut image = GrayImage::filled(SIZE.0, SIZE.1, 0.0);
     for y in 0..SIZE.1 {
         for (x, pixel) in image.row_mut(y).iter_mut().enumerate() {
@@ -37,7 +39,7 @@ fn view(camera: &Camera, at: &Vec3, world_from_camera: &Rotation) -> GrayImage {
             let (to_x, to_z) = (until(at.x, ray.x), until(at.z, ray.z));
             let hit = at + ray * to_x.min(to_z);
             let along = if to_x < to_z { hit.z } else { hit.x };
-            *pixel = texture(6.0 * along + 40.0 * f64::from(to_x < to_z), 6.0 * hit.y);
+            *pixel = texture(fine * along + 40.0 * f64::from(to_x < to_z), fine * hit.y);
         }
     }
     image
