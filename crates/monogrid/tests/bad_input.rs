@@ -485,7 +485,7 @@ fn a_source_that_shows_far_more_than_it_stores_breaks_off() {
     let plain = encode_png(&Image::from_fn(3500, 3500, |_, _| 0));
     assert!(plain.len() < 100_000, "{}", plain.len());
     fs::write(dir.path().join("plain.png"), plain).unwrap();
-    let list: String = (0..1000).map(|k| format!("{}.0 plain.png\n", k)).collect();
+    let list: String = (0..1000).map(|k| format!("{k}.0 plain.png\n")).collect();
     fs::write(dir.path().join("rgb.txt"), list).unwrap();
     let source = dir.path().display().to_string();
     let out = dir.path().join("out").display().to_string();

@@ -240,7 +240,7 @@ mod tests {
         let write =
             |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
         write(MAP_FROM_WORLD, "1 0 0 0.5 0 0 0 1\n");
-        let mut frame_of = |summary: &str| {
+        let frame_of = |summary: &str| {
             write("summary.json", summary);
             let beside = frame_beside(&folder.path().join(RECORDING))
                 .unwrap()
