@@ -457,9 +457,15 @@ impl Input {
         self.fixed.as_ref().map(|fixed| &fixed.mask)
     }
 
-    /// The working image of a frame.
-    pub fn read(&self, frame: &FrameEntry) -> Result<GrayImage, Unusable> {
-        self.preparation.apply(&self.read_image(frame)?)
+    /// Width and height of the image of a frame, 0 where it cannot be read, and its working image.
+    pub fn read(&self, frame: &FrameEntry) -> ((usize, usize), Result<GrayImage, Unusable>) {
+        match self.read_image(frame) {
+            Ok(image) => {
+                let size = (image.width(), image.height());
+                (size, self.preparation.apply(&image))
+            }
+            Err(error) => ((0, 0), Err(error)),
+        }
     }
 
     /// The image of a frame as it is.

@@ -495,6 +495,8 @@ fn a_source_that_shows_far_more_than_it_stores_breaks_off() {
         1,
         &["broke off", "shows more than", "fewer of its frames"],
     );
+    let ended = monogrid(["check", &source, "--fov", "60"]);
+    assert_fails(&ended, 1, &["shows more than"]);
     let words = dir.path().join("words").display().to_string();
     let ended = monogrid(["vocabulary", &source, "--out", &words]);
     assert_fails(&ended, 2, &["shows more than"]);

@@ -69,7 +69,7 @@ type CheckedFrame = (usize, i64, Result<GrayImage, Unusable>);
 
 /// All frames in order; files are decoded by all threads.
 fn frames(input: &Input) -> Box<dyn Iterator<Item = CheckedFrame> + '_> {
-    let Images::Files(_) = &input.images else {
+    let Images::Files(dataset) = &input.images else {
         return Box::new(input.source(None).map(|frame| {
             let image = frame
                 .image
@@ -77,9 +77,17 @@ fn frames(input: &Input) -> Box<dyn Iterator<Item = CheckedFrame> + '_> {
             (frame.index, frame.timestamp_ns, image)
         }));
     };
-    Box::new(input.frames.chunks(CHUNK).flat_map(|chunk| {
-        let read = |frame: &FrameEntry| (frame.index, frame.timestamp_ns, input.read(frame));
-        chunk.par_iter().map(read).collect::<Vec<_>>()
+    let mut budget = dataset.pixel_budget();
+    Box::new(input.frames.chunks(CHUNK).flat_map(move |chunk| {
+        let read = chunk.par_iter().map(|frame| (frame, input.read(frame)));
+        let read: Vec<(&FrameEntry, _)> = read.collect();
+        // in their order, so that the same ones are too many with any number of threads
+        let within = read.into_iter().map(|(frame, (size, image))| {
+            let spent = budget.spend(size.0, size.1);
+            let spent = spent.map_err(|error| Unusable::BrokeOff(error.to_string()));
+            (frame.index, frame.timestamp_ns, spent.and(image))
+        });
+        within.collect::<Vec<_>>()
     }))
 }
 
