@@ -76,6 +76,9 @@ pub type Grey = Image<u8>;
 /// Most pixels of a frame: those of 8K, of which some are in memory at once; more is taken for damage.
 pub(crate) const MAX_PIXELS: usize = 1 << 25;
 
+/// Pixels that a frame counts for at least: each takes its time, and a small file can hold a million of them.
+const MIN_FRAME_PIXELS: usize = 1 << 13;
+
 /// One frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VideoFrame {
@@ -482,7 +485,8 @@ impl Video {
     /// The frame, if there is room for it.
     fn spend(&mut self, frame: VideoFrame) -> Result<VideoFrame, VideoError> {
         if let Some(budget) = &mut self.budget {
-            budget.spend(frame.image.width(), frame.image.height())?;
+            let pixels = frame.image.width() * frame.image.height();
+            budget.spend(pixels.max(MIN_FRAME_PIXELS), 1)?;
         }
         Ok(frame)
     }
