@@ -737,8 +737,12 @@ def sqlite(rows, overflow):
     header = b"SQLite format 3\0" + struct.pack(">HBBBBBB", size, 1, 1, 0, 64, 32, 32)
     first[: len(header)] = header
     topics = leaf([cell(1, row(1, [1, "/image", "sensor_msgs/msg/Image", "cdr"]))[0]], 1)
-    body, rest = cell(1, row(1, [1, 1, 5, overflow]), 4)
-    messages = leaf([body], rows)
+    # so long that little of it lies in the leaf, beside the places of all cells
+    for more in range(0, size, 32):
+        body, rest = cell(1, row(1, [1, 1, 5, overflow + bytes(more)]), 4)
+        if len(body) < 700:
+            break
+    messages = leaf([body], min(rows, (size - 8 - len(body)) // 2))
     pages = []
     while rest:
         part, rest = rest[: size - 4], rest[size - 4 :]

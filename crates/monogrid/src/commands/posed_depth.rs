@@ -14,6 +14,9 @@ use std::sync::{Mutex, PoisonError};
 /// Times farther apart than this do not belong together.
 const MAX_POSE_DISTANCE_NS: u64 = 20_000_000;
 
+/// Mapping a depth image takes so many times as long as reading an image.
+const DEPTH_COST: usize = 8;
+
 /// Depth images, their calibration and the trajectory of the camera.
 pub struct PosedDepthFolder {
     /// The folder; what to tell the user about it, and its depth images with or without pose.
@@ -96,7 +99,7 @@ impl PosedDepthFolder {
     pub fn read(&self, entry: &DepthEntry) -> Result<GrayImage, Failure> {
         let camera = &self.calibration.camera;
         let mut budget = self.budget.lock().unwrap_or_else(PoisonError::into_inner);
-        let spent = budget.spend(camera.width, camera.height);
+        let spent = budget.spend(DEPTH_COST * camera.width, camera.height);
         spent.bad_input()?;
         drop(budget);
         registered_depth(&entry.path, &self.calibration, &self.registration)
