@@ -339,7 +339,8 @@ fn ffmpeg_that_hangs_is_interrupted_and_ended() {
         if frames > 0 {
             assert_eq!(run.summary()["status"], "interrupted");
         }
-        if frames > 0 && has_camera {
+        // a file is looked at before it is tracked
+        if frames > 0 && source != "film.mkv" {
             assert_saved(&run);
         }
     }

@@ -320,7 +320,7 @@ mod tests {
     }
 
     /// Every third of as many frames makes some keyframes.
-    const TOLD_FRAMES: usize = 30;
+    const TOLD_FRAMES: usize = 28;
     const TOLD_STEP: usize = 3;
 
     /// Reports on the first frames, and what was told of them before, where the answer is always

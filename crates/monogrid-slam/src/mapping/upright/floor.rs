@@ -21,7 +21,7 @@ const BELOW: f64 = 0.3;
 /// Range up to which depth says so, in the same unit: farther away it is too uncertain.
 const MAX_RANGE: f64 = 6.0;
 /// Cells of that unit in which is counted what is seen, and the pixels that make one count: single ones are mistakes.
-const CELLS: f64 = 20.0;
+const CELLS: f64 = 10.0;
 const MIN_PIXELS: u32 = 3;
 /// Most share of the cells that lie below a floor. Of rooms and streets it is 0 to 0.1 %, of desks 0.5 % and more.
 const MAX_BELOW: f64 = 0.003;

@@ -157,7 +157,14 @@ fn a_table_is_no_floor_where_something_lies_below_it() {
     // the floor itself is not seen, only walls that go on below the table
     let mut room = room(Some(0.7));
     room.planes.retain(|(normal, _)| normal.z < 0.5);
-    let (over_table, _) = found(&room, &room_from_cameras(6, 35.0, 0.0), 1.7);
+    let mut cameras = room_from_cameras(60, 25.0, 0.0);
+    for camera in &mut cameras {
+        // all look at the middle of the table
+        let ahead = camera.rotation * Vec3::z();
+        let away = Vec3::new(ahead.x, ahead.y, 0.0).normalize() * 1.5;
+        camera.translation = Vec3::new(-away.x, -away.y, 1.4);
+    }
+    let (over_table, _) = found(&room, &cameras, 1.7);
     let table = over_table.floor.unwrap();
     assert!((table.camera_height * 1.7 - 0.7).abs() < 0.03, "{table:?}");
     assert!(!table.is_floor(), "{table:?}");
