@@ -168,14 +168,10 @@ fn coarse_to_fine(
         min_step: config.min_step_px,
         max_distance: config.max_level_move_px,
     };
-    let all_levels = reference.num_levels().min(current.num_levels());
-    let levels = num_levels.min(all_levels);
-    let (finest, own) = finest_level(
-        reference,
-        point,
-        all_levels.min(COARSEST_FINEST + 1),
-        config,
-    )?;
+    let levels = num_levels
+        .min(reference.num_levels())
+        .min(current.num_levels());
+    let (finest, own) = finest_level(reference, point, levels.min(COARSEST_FINEST + 1), config)?;
     let mut estimate = *start;
     for level in (finest + 1..levels).rev() {
         let centre = to_f32(&level_pixel(point, level));
