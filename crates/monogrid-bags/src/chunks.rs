@@ -17,7 +17,8 @@ const MAX_BYTES: u64 = 1 << 30;
 const CHUNK_BYTES: u64 = 32 << 20;
 const CHUNK_GROWTH: u64 = 8;
 
-/// Bytes that may come out of all that is compressed in a file, and how many more for each of its bytes.
+/// Bytes that may come out of all that is compressed in a file, and how many more for each of its
+/// bytes.
 const FILE_BYTES: u64 = 256 << 20;
 const FILE_GROWTH: u64 = 64;
 
@@ -38,11 +39,12 @@ pub fn block(input: &mut impl Read, length: u64) -> Result<Vec<u8>, String> {
     Ok(bytes)
 }
 
-/// Decompresses the chunks or messages of one file, and sees to it that neither one of them nor all together grow
-/// without bound.
+/// Decompresses the chunks or messages of one file, and sees to it that neither one of them nor all
+/// together grow without bound.
 #[derive(Debug, Default)]
 pub struct Unpacker {
-    /// Bytes of the file as it is stored: what is compressed once more in it counts no more than it does.
+    /// Bytes of the file as it is stored: what is compressed once more in it counts no more than it
+    /// does.
     stored_bytes: u64,
     /// Bytes that have come out so far.
     unpacked_bytes: AtomicU64,

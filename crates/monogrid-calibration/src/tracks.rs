@@ -176,8 +176,8 @@ impl TrackCollector {
         std::mem::take(&mut self.windows)
     }
 
-    /// How far the corners that the newest frame shows have moved since the view before it, px; empty where there was none, or too few
-    /// could be followed.
+    /// How far the corners that the newest frame shows have moved since the view before it, px;
+    /// empty where there was none, or too few could be followed.
     #[must_use]
     pub fn moves(&self) -> &[f64] {
         &self.moves
@@ -223,8 +223,6 @@ impl TrackCollector {
             &occupied,
             &CornerConfig {
                 max_corners: wanted.max(1),
-                // what is found on coarser levels is not exact enough
-                num_coarser: 0,
                 ..CornerConfig::default()
             },
         );

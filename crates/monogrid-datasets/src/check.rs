@@ -1,4 +1,5 @@
-//! What would hurt tracking, seen in the images alone: blur, exposure jumps, repeated frames, lack of texture.
+//! What would hurt tracking, seen in the images alone: blur, exposure jumps, repeated frames, lack
+//! of texture.
 
 use monogrid_geometry::median::median;
 use monogrid_image::{GradientImage, GrayImage};
@@ -29,7 +30,8 @@ pub struct FrameCheck {
     pub saturated_share: f32,
     /// Brightness over that of the frame before; `None` for the first or after a change of size.
     pub gain: Option<f32>,
-    /// Whether it is the frame before, pixel by pixel: such frames are left out when a source is tracked.
+    /// Whether it is the frame before, pixel by pixel: such frames are left out when a source is
+    /// tracked.
     pub is_repeated: bool,
     /// Whether it shows the picture of the frame before, encoded once more.
     pub is_nearly_repeated: bool,

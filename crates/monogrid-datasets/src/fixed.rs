@@ -1,23 +1,24 @@
-//! What of the picture is fixed to the camera: the borders of a screen recording or of a film in another format, lettering and
-//! logos that lie over it.
+//! The part of a picture that is fixed to the camera: the borders of a screen recording or of a
+//! film in another format, lettering and logos that lie over it.
 //!
-//! Their pixels stay the same while everything else changes. They would be followed as well as the scene, and say that
-//! the camera stands still.
+//! Their pixels stay the same while everything else changes. They would be followed as well as the
+//! scene, and say that the camera stands still.
 
 use monogrid_image::{GrayImage, Mask, Resize, resize_area};
 
 /// Blocks along the longer side, in which brightness is compared.
 const BLOCKS: usize = 160;
-/// Most by which the mean of a block may change that stays the same, grey levels: compression, hardly any noise.
+/// Most by which the mean of a block may change that stays the same, grey levels: compression,
+/// hardly any noise.
 const SAME: f32 = 4.0;
 /// Fewest samples that say something.
 const MIN_SAMPLES: usize = 12;
-/// Least share of the blocks of the moving picture that must change at all, and from sample to sample: what passes before a
-/// camera that stands still changes each place now and then.
+/// Least share of the blocks of the moving picture that must change at all, and from sample to
+/// sample: what passes before a camera that stands still changes each place now and then.
 const MIN_CHANGED: f64 = 0.6;
 const MIN_ACTIVE: f64 = 0.45;
-/// Most and least share of the blocks that change in a row or column beside the moving picture, and in its first ones: it
-/// is a rectangle, and pointers and clocks beside it are small.
+/// Most and least share of the blocks that change in a row or column beside the moving picture, and
+/// in its first ones: it is a rectangle, and pointers and clocks beside it are small.
 const MAX_BESIDE: f64 = 0.12;
 const MIN_WITHIN: f64 = 0.4;
 /// Gradient of a block that something is drawn in, grey levels from block to block.
@@ -175,11 +176,10 @@ impl FixedPartFinder {
     /// The rectangle that changes.
     fn picture(&self, changed: &[bool]) -> Option<Area> {
         let whole = Area::whole(self.blocks);
+        let is_changed = |&(x, y): &(usize, usize)| changed[y * self.blocks.0 + x];
         let share = |area: &Area| {
-            let num = area
-                .places()
-                .filter(|(x, y)| changed[y * self.blocks.0 + x]);
-            num.count() as f64 / area.num().max(1) as f64
+            let num_changed = area.places().filter(is_changed).count();
+            num_changed as f64 / area.num().max(1) as f64
         };
         let mut area = whole;
         // sides beside which hardly anything changes, until there are none
@@ -194,10 +194,9 @@ impl FixedPartFinder {
             .iter()
             .zip(whole.sides())
             .all(|(side, outer)| *side == outer || share(side) >= MIN_WITHIN);
-        let num_changed = area
+        let activity: f64 = area
             .places()
-            .filter(|(x, y)| changed[y * self.blocks.0 + x]);
-        let activity: f64 = num_changed
+            .filter(is_changed)
             .map(|(x, y)| self.changes[y * self.blocks.0 + x] as f64)
             .sum();
         let intervals = (self.num_samples - 1) as f64;
@@ -278,7 +277,8 @@ impl Area {
         }
     }
 
-    /// Without its outermost blocks, but at the ends of the image: the edge of a border shows in the blocks beside it.
+    /// Without its outermost blocks, but at the ends of the image: the edge of a border shows in
+    /// the blocks beside it.
     fn within(self, (columns, rows): (usize, usize)) -> Self {
         let inner = |[first, end]: [usize; 2], all: usize| {
             [first + usize::from(first > 0), end - usize::from(end < all)]

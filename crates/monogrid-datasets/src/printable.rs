@@ -3,8 +3,9 @@
 use std::borrow::Cow;
 use std::fmt::Write as _;
 
-/// Text without what a terminal would obey: control characters but for line feed and tab, and characters that turn the direction
-/// of writing, each as `\u` and four hexadecimal digits. JSON stays the same JSON.
+/// Text without what a terminal would obey: control characters but for line feed and tab, and
+/// characters that turn the direction of writing, each as `\u` and four hexadecimal digits. JSON
+/// stays the same JSON.
 #[must_use]
 pub fn printable(text: &str) -> Cow<'_, str> {
     if !text.contains(is_obeyed) {

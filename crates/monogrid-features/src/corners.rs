@@ -14,7 +14,7 @@ pub struct CornerConfig {
     /// Pyramid level on which corners are searched first. Default 0.
     pub level: usize,
     /// Coarser levels on which they are searched where finer ones show too few: faint blotches
-    /// stand out of the noise there. Default 2.
+    /// stand out of the noise there, but are found less exactly. Default 0.
     pub num_coarser: usize,
     /// Smallest distance between two corners, level-0 px. Default 10.
     pub min_distance_px: f64,
@@ -31,7 +31,7 @@ impl Default for CornerConfig {
         Self {
             max_corners: 600,
             level: 0,
-            num_coarser: 2,
+            num_coarser: 0,
             min_distance_px: 10.0,
             min_score: 5.0,
             border_px: 12,

@@ -239,8 +239,6 @@ impl Rectifier {
         }
         let config = CornerConfig {
             max_corners: MAX_CORNERS,
-            // what is found on coarser levels is not exact enough
-            num_coarser: 0,
             ..CornerConfig::default()
         };
         let corners = detect_corners(&newest.pyramid, None, &[], &config);

@@ -140,12 +140,16 @@ impl TwoViewStart {
     /// see.)
     fn corners(&self, pinhole: &Pinhole, sparse: &SparseConfig) -> CornerConfig {
         let max_corners = self.settings.num_features;
-        if self.buffered.len() > self.settings.patient_frames {
-            return corner_settings(max_corners, pinhole, sparse);
-        }
+        let usual = match self.buffered.len() > self.settings.patient_frames {
+            true => corner_settings(max_corners, pinhole, sparse),
+            false => CornerConfig {
+                max_corners,
+                ..CornerConfig::default()
+            },
+        };
         CornerConfig {
-            max_corners,
-            ..CornerConfig::default()
+            num_coarser: NUM_COARSER,
+            ..usual
         }
     }
 
@@ -215,6 +219,9 @@ struct PosedView {
     offset: usize,
     frame_from_reference: Se3,
 }
+
+/// Coarser levels on which a reference with few corners is searched for faint ones.
+const NUM_COARSER: usize = 2;
 
 /// Views that are adjusted together at most.
 const MAX_VIEWS: usize = 10;

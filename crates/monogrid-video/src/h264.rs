@@ -23,8 +23,8 @@ use std::io::{Read, Seek, SeekFrom};
 /// ffmpeg; sixteen reference pictures of this size stay below half a gigabyte.
 const MAX_PICTURE_PIXELS: u64 = 36_864 * 256;
 
-/// Macroblocks of all pictures that a decoder must hold, as references or until their turn: those of level 5.2 (ITU-T H.264,
-/// table A-1). A stream may ask for any number.
+/// Macroblocks of all pictures that a decoder must hold, as references or until their turn: those
+/// of level 5.2 (ITU-T H.264, table A-1). A stream may ask for any number.
 const MAX_HELD_MACROBLOCKS: u64 = 184_320;
 /// Pictures that a decoder must hold, whatever their size.
 const MAX_HELD: u64 = 16;
@@ -200,7 +200,8 @@ fn prefixed(set: impl AsRef<[u8]>) -> Vec<u8> {
     [&(set.len() as u32).to_be_bytes(), set].concat()
 }
 
-/// A decoder for the pictures that these parameter sets announce, which keeps no more of them until their turn than it must.
+/// A decoder for the pictures that these parameter sets announce, which keeps no more of them until
+/// their turn than it must.
 fn decoder_of(sets: &[Vec<u8>]) -> OrderedDecoder<i64> {
     let units = sets.iter().flat_map(|set| parse_avcc(set, 4));
     let infos = units.filter_map(|unit| parse_sps_info(&unit).ok());
@@ -252,7 +253,8 @@ fn read_sample(file: &mut File, sample: Sample) -> std::io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// A frame as it is shown, upright: its luma in 8 bits and its colour; `None` where it is not whole.
+/// A frame as it is shown, upright: its luma in 8 bits and its colour; `None` where it is not
+/// whole.
 fn shown(frame: Frame, timestamp_ns: i64, space: ColourSpace, turn: Turn) -> Option<VideoFrame> {
     let (width, height) = (frame.width as usize, frame.height as usize);
     let size = match frame.chroma_format {

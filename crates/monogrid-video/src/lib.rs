@@ -73,10 +73,12 @@ use turn::Turn;
 /// An 8-bit grey image.
 pub type Grey = Image<u8>;
 
-/// Most pixels of a frame: those of 8K, of which some are in memory at once; more is taken for damage.
+/// Most pixels of a frame: those of 8K, of which some are in memory at once; more is taken for
+/// damage.
 pub(crate) const MAX_PIXELS: usize = 1 << 25;
 
-/// Pixels that a frame counts for at least: each takes its time, and a small file can hold a million of them.
+/// Pixels that a frame counts for at least: each takes its time, and a small file can hold a
+/// million of them.
 const MIN_FRAME_PIXELS: usize = 1 << 13;
 
 /// One frame.

@@ -34,7 +34,8 @@ fn record(kind: u8, body: &[&[u8]]) -> Vec<u8> {
 fn recording(count: usize, side: usize) -> Vec<u8> {
     let pixels = side * side;
     let number = |n: usize| (n as u32).to_le_bytes();
-    // header of the message without a frame, then height, width, encoding, bytes of a row and of all
+    // header of the message without a frame, then height, width, encoding, bytes of a row and of
+    // all
     let image = [
         &[0, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0][..],
         &[number(side), number(side), number(6)].concat(),

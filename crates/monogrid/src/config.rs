@@ -128,7 +128,8 @@ impl RunConfig {
         (config, mapping.collect())
     }
 
-    /// Takes over settings from a place; those that are settings no longer have no effect, which is said.
+    /// Takes over settings from a place; those that are settings no longer have no effect, which is
+    /// said.
     fn change(&mut self, content: Table, place: &str) -> Result<(), Failure> {
         let ignored = self.take(&with_explicit_resolution(content));
         let ignored = ignored.map_err(|error| Failure::input(format!("{place}: {error}")))?;
@@ -500,7 +501,8 @@ mod tests {
         assert!(said(9).ends_with("a0, a1, a2 and 6 more"));
     }
 
-    /// The defaults are those of the profile; what a profile has beyond its public settings comes back with its name.
+    /// The defaults are those of the profile; what a profile has beyond its public settings comes
+    /// back with its name.
     #[test]
     fn parameters_that_are_no_settings_come_back_with_the_profile() {
         let thesis = RunConfig::of(Profile::Thesis);

@@ -9,14 +9,17 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// The image, if there is room for it.
 pub fn within<T: Copy>(budget: &mut PixelBudget, image: Image<T>) -> Result<Image<T>, Unusable> {
-    let spent = budget.spend(image.width(), image.height());
-    spent
-        .map(|()| image)
-        .map_err(|error| Unusable::BrokeOff(error.to_string()))
+    spend(budget, (image.width(), image.height())).map(|()| image)
 }
 
-/// The images of these files in their order, which use so much of 16 bits and have so many pixels at
-/// most; `cpu_ns` hears of the CPU time of reading them.
+/// Takes an image of this size out of the budget; the source breaks off where there is no room.
+pub fn spend(budget: &mut PixelBudget, (width, height): (usize, usize)) -> Result<(), Unusable> {
+    let spent = budget.spend(width, height);
+    spent.map_err(|error| Unusable::BrokeOff(error.to_string()))
+}
+
+/// The images of these files in their order, which use so much of 16 bits and have so many pixels
+/// at most; `cpu_ns` hears of the CPU time of reading them.
 pub fn read_files<'a>(
     (files, levels, mut budget): (Vec<FrameEntry>, Levels, PixelBudget),
     patience: Patience,

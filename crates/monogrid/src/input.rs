@@ -239,7 +239,8 @@ impl RawInput {
         }
     }
 
-    /// What of the picture is fixed to the camera; nothing of what is seen only once, or is rendered.
+    /// The part of the picture that is fixed to the camera; none of what is seen only once, or is
+    /// rendered.
     fn fixed_part(&self, size: (usize, usize)) -> Option<FixedPart> {
         let source = (self.frames.as_slice(), &self.reading);
         match &self.images {
@@ -280,7 +281,7 @@ pub struct Input {
     pub is_shutter_known: bool,
     /// The inertial sensor beside the camera, where there is one.
     pub inertial: Option<Inertial>,
-    /// What of the picture is fixed to the camera.
+    /// The part of the picture that is fixed to the camera.
     pub fixed: Option<FixedPart>,
     /// How the camera moves, where somebody has looked.
     pub motion: Option<Motion>,

@@ -64,7 +64,8 @@ pub fn refine(input: &mut Input, config: &RunConfig) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Frames behind the first one with a pose that are tracked again with another camera, to see that it takes nothing away.
+/// Frames behind the first one with a pose that are tracked again with another camera, to see that
+/// it takes nothing away.
 const COMPARED_FRAMES: usize = 60;
 /// Least share of the poses that another camera must leave.
 const MIN_KEPT: f64 = 0.7;
@@ -94,7 +95,8 @@ fn shown_readout_ms(input: &Input) -> Option<f64> {
     shown.ok()?.readout_ms
 }
 
-/// The system after the first frames, not finished yet, and which of them had a pose when they were tracked.
+/// The system after the first frames, not finished yet, and which of them had a pose when they were
+/// tracked.
 fn first_pass(
     input: &Input,
     config: &RunConfig,
@@ -248,7 +250,7 @@ mod tests {
     use monogrid_pipeline::{SourceFrame, Unusable};
 
     #[test]
-    fn a_camera_that_takes_the_start_away_is_told() {
+    fn a_camera_that_takes_the_start_away_does_not_track_as_well() {
         let posed = |first: usize, num: usize| {
             let posed = (0..200).map(|k| (first..first + num).contains(&k));
             posed.collect::<Vec<bool>>()

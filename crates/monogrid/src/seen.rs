@@ -1,4 +1,5 @@
-//! What a look at the images of a source says before anything is mapped. `check` and `run` ask here, so that they say the same.
+//! What a look at the images of a source says before anything is mapped. `check` and `run` ask
+//! here, so that they say the same.
 
 use crate::input::{Images, Input};
 use crate::interrupt::is_interrupted;
@@ -7,7 +8,8 @@ use monogrid_datasets::{FixedPart, FixedPartFinder};
 use monogrid_geometry::Camera;
 use monogrid_image::GrayImage;
 
-/// Images that are compared to find what is fixed to the camera, and how far apart they are in a video.
+/// Images that are compared to find what is fixed to the camera, and how far apart they are in a
+/// video.
 const FIXED_SAMPLES: usize = 40;
 const FRAMES_PER_SAMPLE: usize = 8;
 
@@ -94,7 +96,8 @@ pub fn watch_of_working_images(input: &Input) -> MotionWatch {
     MotionWatch::new((width, height), lens.as_ref(), Some(input.mask()))
 }
 
-/// Why there is no map of what a camera sees that moves so, and what to film instead; `None` where there may be one.
+/// Why there is no map of what a camera sees that moves so, and what to film instead; `None` where
+/// there may be one.
 pub fn no_map(did: CameraMotion) -> Option<&'static str> {
     match did {
         CameraMotion::StandsStill => Some(

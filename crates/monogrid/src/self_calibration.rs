@@ -28,7 +28,8 @@ pub struct Expected {
     focal_sigma: Option<f64>,
     /// Where it comes from, for people.
     source: &'static str,
-    /// Of a picture within borders: its longer side and its middle, as shares of those of the image.
+    /// Of a picture within borders: its longer side and its middle, as shares of those of the
+    /// image.
     picture: Option<(f64, [f64; 2])>,
 }
 
@@ -41,7 +42,8 @@ impl Expected {
         picture: None,
     };
 
-    /// The same for a picture that is `picture` of an image of this size, and has borders around it.
+    /// The same for a picture that is `picture` of an image of this size, and has borders around
+    /// it.
     pub fn within(self, picture: Option<Rectangle>, size: (usize, usize)) -> Self {
         let longer = |(width, height): (usize, usize)| width.max(height).max(1) as f64;
         let of_image = |picture: Rectangle| {
@@ -305,8 +307,8 @@ pub fn interval_ns(times_ns: &[i64]) -> f64 {
     median.map_or(0.0, |ns| *ns as f64)
 }
 
-/// The windows of a video at working size; the images are of this size, a rolling shutter runs this way over them, and
-/// corners lie where the mask says.
+/// The windows of a video at working size; the images are of this size, a rolling shutter runs this
+/// way over them, and corners lie where the mask says.
 pub fn windows_of(
     images: impl Iterator<Item = GrayImage>,
     ((size, direction), mask): (((usize, usize), ReadoutDirection), Option<&Mask>),

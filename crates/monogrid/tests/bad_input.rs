@@ -146,7 +146,8 @@ fn texture(x: f64, y: f64) -> f64 {
     across(top) * (1.0 - v) + across(top + 1.0) * v
 }
 
-/// A folder with 45 images, 320x240, of which each pixel is `of` the number of the image and its place.
+/// A folder with 45 images, 320x240, of which each pixel is `of` the number of the image and its
+/// place.
 fn made_folder(of: impl Fn(usize, f64, f64) -> f64) -> TempDir {
     let dir = tempfile::tempdir().unwrap();
     for k in 0..45 {
@@ -156,7 +157,8 @@ fn made_folder(of: impl Fn(usize, f64, f64) -> f64) -> TempDir {
     dir
 }
 
-/// What the walls around a camera look like that turns about its vertical axis: its focal length is 260 px.
+/// What the walls around a camera look like that turns about its vertical axis: its focal length is
+/// 260 px.
 fn turned(angle: f64, x: f64, y: f64) -> f64 {
     let (x, y) = ((x - 159.5) / 260.0, (y - 119.5) / 260.0);
     let around = angle + x.atan();

@@ -52,7 +52,8 @@ fn main() -> ExitCode {
     }
 }
 
-/// Text as a terminal may have it: answers and addresses come from outside, and what it would obey is shown instead.
+/// Text as a terminal may have it: answers and addresses come from outside, and what it would obey
+/// is shown instead.
 fn printable(text: &str) -> String {
     let turns = |c| matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
     let is_obeyed = |c: char| turns(c) || c.is_control() && !matches!(c, '\n' | '\t');

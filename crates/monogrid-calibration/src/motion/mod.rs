@@ -1,12 +1,13 @@
 //! How a camera moved, as its images show it before anything is mapped.
 //!
-//! Depth is seen where near things move past far ones. A camera that stands still shows none, and one that only turns neither:
-//! every pixel goes where the rotation and the focal length send it, whatever its depth. A map of such images is an invention,
-//! however well they are tracked.
+//! Depth is seen where near things move past far ones. A camera that stands still shows none, and
+//! one that only turns neither: every pixel goes where the rotation and the focal length send it,
+//! whatever its depth. A map of such images is an invention, however well they are tracked.
 //!
-//! Corners are followed through [windows](crate::Window) of some views. A window shows **parallax** where even the rotation, focal length
-//! and distortion that fit best leave many of its corners elsewhere; few such windows decide that the camera moves, so that
-//! ordinary recordings are looked at for some seconds only.
+//! Corners are followed through [windows](crate::Window) of some views. A window shows **parallax**
+//! where even the rotation, focal length and distortion that fit best leave many of its corners
+//! elsewhere; few such windows decide that the camera moves, so that ordinary recordings are looked
+//! at for some seconds only.
 
 mod turn;
 
@@ -34,33 +35,41 @@ pub enum CameraMotion {
 const OF_WIDTH: f64 = 640.0;
 /// Motion of a corner up to which it stays where it was, px.
 const AT_REST: f64 = 1.5;
-/// Share of the corners at rest from which a frame shows a camera that stands still: the rest are on what moves before it.
+/// Share of the corners at rest from which a frame shows a camera that stands still: the rest are
+/// on what moves before it.
 const MIN_AT_REST: f64 = 0.35;
-/// Frames after which it can be said that a camera stands still, and the share of them that must say so.
+/// Frames after which it can be said that a camera stands still, and the share of them that must
+/// say so.
 const MIN_STILL_FRAMES: usize = 15;
 const MIN_STILL_SHARE: f64 = 0.95;
-/// Distance from where a rotation sends a corner up to which the rotation explains it, px. Of pans by hand it explains nine tenths
-/// within one; while a camera walks through a room at least a third goes elsewhere.
+/// Distance from where a rotation sends a corner up to which the rotation explains it, px. Of pans
+/// by hand it explains nine tenths within one; while a camera walks through a room at least a third
+/// goes elsewhere.
 const EXPLAINED: f64 = 2.0;
-/// Shares of the corners of a window from which on a rotation explains it, and up to which it does not.
+/// Shares of the corners of a window from which on a rotation explains it, and up to which it does
+/// not.
 const MIN_EXPLAINED: f64 = 0.85;
 const MAX_EXPLAINED: f64 = 0.7;
 /// Fewest corners of a window.
 const MIN_MATCHES: usize = 30;
-/// Least median motion of a window that a rotation can explain, and of all such windows together before it is said that the camera
-/// only turns, shares of the longer side: less shows no depth either, but may have been too short.
+/// Least median motion of a window that a rotation can explain, and of all such windows together
+/// before it is said that the camera only turns, shares of the longer side: less shows no depth
+/// either, but may have been too short.
 const MIN_MOTION: f64 = 0.04;
 const MIN_MOTION_OF_ALL: f64 = 0.2;
-/// Longest focal length of a camera that can be told to turn, in halves of the longer side: with a longer one, turning is what
-/// moving along a wall looks like: it is taken for that where one explains the corners better by this factor and distance, px.
+/// Longest focal length with which turning is recognised, in halves of the longer side. With a
+/// longer one, turning looks like moving along a wall: it is taken for that where a longer one
+/// explains the corners better by this factor and distance, px.
 const MAX_FOCAL: f64 = 8.0;
 const BETTER: f64 = 1.5;
 const CORNER: f64 = 0.1;
-/// Windows explained by a rotation have one focal length: the logarithm of each is so near their median.
+/// Windows explained by a rotation have one focal length: the logarithm of each is so near their
+/// median.
 const SAME_FOCAL: f64 = 0.5;
 /// Share of the windows that a rotation must explain before it is said that the camera only turns.
 const MIN_TURNED_SHARE: f64 = 0.75;
-/// Windows that show parallax by which it is decided that the camera moves, and the share of all that shows it.
+/// Windows that show parallax by which it is decided that the camera moves, and the share of all
+/// that shows it.
 const MIN_PARALLAX: usize = 3;
 const MIN_PARALLAX_SHARE: f64 = 0.3;
 
@@ -82,7 +91,8 @@ pub struct MotionWatch {
 }
 
 impl MotionWatch {
-    /// For images of this size; with the camera where it is known, and corners where the mask (of their size) is not 0.
+    /// For images of this size; with the camera where it is known, and corners where the mask (of
+    /// their size) is not 0.
     #[must_use]
     pub fn new(size: (usize, usize), given: Option<&Camera>, mask: Option<&Mask>) -> Self {
         let reduced = WorkingSize::AUTOMATIC.resolve(size.0, size.1);
@@ -238,7 +248,8 @@ impl MotionWatch {
         }
     }
 
-    /// Where a camera without distortion, with its principal point in the middle, would see what this pixel shows.
+    /// Where a camera without distortion, with its principal point in the middle, would see what
+    /// this pixel shows.
     fn ideal(&self, pixel: &Vec2, lens: &Lens) -> Option<Vec2> {
         let Some(camera) = &self.given else {
             return Some(*pixel);
@@ -251,7 +262,8 @@ impl MotionWatch {
     }
 }
 
-/// The corners that the first view of a window shares with the last one that still has enough of them.
+/// The corners that the first view of a window shares with the last one that still has enough of
+/// them.
 fn farthest(window: &Window, ideal: impl Fn(&Vec2) -> Option<Vec2>) -> Option<Vec<Match>> {
     (1..window.num_views).rev().find_map(|last| {
         let both = window.tracks.iter().filter_map(|track| {

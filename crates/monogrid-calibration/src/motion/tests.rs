@@ -21,7 +21,8 @@ fn texture(x: f64, y: f64) -> f32 {
     (across(top) * (1.0 - v) + across(top + 1.0) * v) as f32
 }
 
-/// A camera somewhere in a room with walls of that texture at x = 4 and -4, z = 4 and -4 and no end up and down.
+/// A camera somewhere in a room with walls of that texture at x = 4 and -4, z = 4 and -4 and no end
+/// up and down.
 fn view(camera: &Camera, at: &Vec3, world_from_camera: &Rotation) -> GrayImage {
     // about ten pixels from one level to the next, so that there are corners with any lens
     let fine = camera.pinhole.fx / 43.0;
@@ -89,8 +90,8 @@ fn a_camera_that_only_turns_is_told_with_any_focal_length() {
             (Vec3::new(0.3, 0.0, 0.2), turn)
         };
         for is_given in [false, true] {
-            let told = motion(&camera, is_given, pan, unchanged);
-            assert_eq!(told, CameraMotion::OnlyTurns, "{focal} {k1} {is_given}");
+            let found = motion(&camera, is_given, pan, unchanged);
+            assert_eq!(found, CameraMotion::OnlyTurns, "{focal} {k1} {is_given}");
         }
     }
 }

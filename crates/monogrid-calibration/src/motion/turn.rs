@@ -1,8 +1,9 @@
 //! How well a camera that only turns explains where corners went from one image to another.
 //!
-//! A camera that turns about its centre sees the same rays again: whatever their depth, pixels move by a homography that its
-//! focal length and three angles determine (Hartley, *Self-calibration from multiple views with a rotating camera*, 1994).
-//! Where the focal length is not known it is found with the angles, and so is a radial distortion (division model; Fitzgibbon,
+//! A camera that turns about its centre sees the same rays again: whatever their depth, pixels move
+//! by a homography that its focal length and three angles determine (Hartley, *Self-calibration
+//! from multiple views with a rotating camera*, 1994). Where the focal length is not known it is
+//! found with the angles, and so is a radial distortion (division model; Fitzgibbon,
 //! *Simultaneous linear estimation of multiple view geometry and lens distortion*, 2001).
 
 use monogrid_features::Match;
@@ -59,8 +60,8 @@ impl Turn {
     }
 }
 
-/// The rotation that explains most of the corners, begun with each focal length of the lens that is no longer than `limit`, or else with
-/// those that are.
+/// The rotation that explains most of the corners, begun with each focal length of the lens that is
+/// no longer than `limit`, or else with those that are.
 pub(crate) fn best_turn(matches: &[Match], lens: &Lens, limit: (f64, bool)) -> Option<Turn> {
     let (max_focal, is_within) = limit;
     let focals = lens.focals.iter();
@@ -70,7 +71,8 @@ pub(crate) fn best_turn(matches: &[Match], lens: &Lens, limit: (f64, bool)) -> O
     found.min_by(|a, b| a.cost().total_cmp(&b.cost()))
 }
 
-/// The rotation that explains most with about this focal length, and none that is longer than `max_focal`.
+/// The rotation that explains most with about this focal length, and none that is longer than
+/// `max_focal`.
 fn turn_near(matches: &[Match], lens: &Lens, focal: f64, max_focal: f64) -> Turn {
     let mut found = Parameters::zeros();
     found[FOCAL] = focal.ln();
@@ -112,7 +114,8 @@ fn residual(pair: &Match, lens: &Lens, turn: &Parameters) -> f64 {
     seen_again(&pair.a, lens, turn).map_or(f64::INFINITY, |seen| (seen - pair.b).norm())
 }
 
-/// A Gauss-Newton step; corners count by the inverse of their residuals first, those that fit alone in the end.
+/// A Gauss-Newton step; corners count by the inverse of their residuals first, those that fit alone
+/// in the end.
 fn step(
     matches: &[Match],
     lens: &Lens,

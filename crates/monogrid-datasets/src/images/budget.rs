@@ -15,8 +15,8 @@ struct Allowance {
 /// Bytes that are a small source.
 const SMALL_BYTES: u64 = 1 << 20;
 
-/// Of image files: those that can be tracked have 1 to 20 pixels for a byte, plain ones up to eight thousand. Any may have four
-/// hundred images of 640 x 480.
+/// Of image files: those that can be tracked have 1 to 20 pixels for a byte, plain ones up to eight
+/// thousand. Any may have four hundred images of 640 x 480.
 const IMAGES: Allowance = Allowance {
     any: 1 << 27,
     per_small_byte: 256,
@@ -30,8 +30,8 @@ const VIDEO: Allowance = Allowance {
     per_byte: 4096,
 };
 
-/// Of the keyframes of a recording: there is depth beside the images, so that those that were recorded have two at most. Making
-/// dense depth takes a second for a million.
+/// Of the keyframes of a recording: there is depth beside the images, so that those that were
+/// recorded have two at most. Making dense depth takes a second for a million.
 const RECORDING: Allowance = Allowance {
     any: 1 << 21,
     per_small_byte: 8,
@@ -53,8 +53,8 @@ pub struct TooManyPixels {
     pub most: u64,
 }
 
-/// What the images of one source have left. One image is bounded by its own file; this bounds all of them together, so
-/// that reading a source takes a time in proportion to its bytes.
+/// What the images of one source have left. One image is bounded by its own file; this bounds all
+/// of them together, so that reading a source takes a time in proportion to its bytes.
 #[derive(Clone, Debug)]
 pub struct PixelBudget {
     path: PathBuf,

@@ -177,8 +177,8 @@ impl Dataset {
         Ok(dataset)
     }
 
-    /// What its images may show together. One that is listed many times counts once, and so do files of an archive that
-    /// lie in one another.
+    /// What its images may show together. One that is listed many times counts once, and so do
+    /// files of an archive that lie in one another.
     #[must_use]
     pub fn pixel_budget(&self) -> PixelBudget {
         let paths = self.frames.iter().map(|frame| &frame.path);

@@ -74,7 +74,8 @@ pub enum TruthError {
         /// Cells allowed.
         max_cells: u64,
     },
-    /// Triangles that lie in one another: marking them would take far longer than the box they lie in.
+    /// Triangles that lie in one another: marking them would take far longer than the box they lie
+    /// in.
     #[error(
         "the triangles of the surface touch about {cells} cells, one after the other, allowed are {max_cells}; do they lie in \
          one another? Choose a larger resolution"
@@ -128,7 +129,8 @@ pub struct Truth {
     pub reaches_border: bool,
 }
 
-/// Cells of the box for each one that triangles touch: a surface has far fewer, however it is folded.
+/// Cells of the box for each one that triangles touch: a surface has far fewer, however it is
+/// folded.
 const CELLS_PER_SURFACE_CELL: u64 = 8;
 
 /// Ground truth of a surface made of triangles: occupied where a triangle touches a cell, free where
@@ -136,7 +138,8 @@ const CELLS_PER_SURFACE_CELL: u64 = 8;
 /// and unit of the surface.
 ///
 /// # Errors
-/// No triangle, one that is not finite, a box of too many cells, triangles that touch far more, or no camera in free space.
+/// No triangle, one that is not finite, a box of too many cells, triangles that touch far more, or
+/// no camera in free space.
 pub fn truth_from_triangles(
     triangles: &[Triangle],
     cameras: &[[f64; 3]],

@@ -20,6 +20,7 @@ fn pyramid(image: GrayImage) -> Pyramid {
 fn corners(pyramid: &Pyramid) -> Vec<Vec2> {
     let config = CornerConfig {
         max_corners: 200,
+        num_coarser: 2,
         ..CornerConfig::default()
     };
     detect_corners(pyramid, None, &[], &config)

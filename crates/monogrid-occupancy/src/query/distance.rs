@@ -62,8 +62,8 @@ impl Hasher for PackedHasher {
     }
 }
 
-/// Bricks of the layers together for each brick of a map that need no room in the budget of the map: distances reach beyond
-/// what is known, and far beyond it where that is scattered.
+/// Bricks of the layers together for each brick of a map that need no room in the budget of the
+/// map: distances reach beyond what is known, and far beyond it where that is scattered.
 const FIELDS_PER_BRICK: usize = 4;
 
 /// Something per brick, by packed key; only ever asked by key, never walked.
@@ -91,7 +91,8 @@ impl DistanceField {
     /// number.
     ///
     /// # Errors
-    /// A reach that is not positive or more than 181 cells, or a field far larger than what is known of its map.
+    /// A reach that is not positive or more than 181 cells, or a field far larger than what is
+    /// known of its map.
     pub fn new(
         map: &OccupancyMap,
         config: DistanceConfig,

@@ -37,8 +37,9 @@ pub enum CellReason {
 }
 
 impl SceneCell {
-    /// One sentence for people; `unit` is that of lengths. How precise the depth is says itself alone, so that it is said only
-    /// where `shows_depth`: something else has shown that there is some.
+    /// One sentence for people; `unit` is that of lengths. How precise the depth is says itself
+    /// alone, so that it is said only where `shows_depth`: something else has shown that there is
+    /// some.
     #[must_use]
     pub fn reason(&self, unit: &str, shows_depth: bool) -> String {
         let because = match self.because {

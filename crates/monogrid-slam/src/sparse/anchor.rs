@@ -44,11 +44,7 @@ fn corners(
     if missing == 0 {
         return Vec::new();
     }
-    let settings = CornerConfig {
-        // what is found on coarser levels only is not exact enough
-        num_coarser: 0,
-        ..corner_settings(missing, pinhole, config)
-    };
+    let settings = corner_settings(missing, pinhole, config);
     let Some(pyramid) = newest.pyramid() else {
         return Vec::new();
     };

@@ -3,6 +3,7 @@
 use crate::args::{JsonArg, SourceArgs};
 use crate::doubts::doubts;
 use crate::failure::{CommandResult, Failure};
+use crate::image_files::spend;
 use crate::input::{Images, Input};
 use crate::readings::{ImuFacts, Inertial};
 use crate::seen::{self, Motion, no_map};
@@ -42,7 +43,8 @@ struct CheckReport {
     unreadable: usize,
     /// How the camera moves: `stands still`, `only turns`, `moves` or `unclear`.
     motion: &'static str,
-    /// Where the picture lies within borders: left, top, width, height; `null` where nothing is fixed to the camera.
+    /// Where the picture lies within borders: left, top, width, height; `null` where nothing is
+    /// fixed to the camera.
     picture: Option<[usize; 4]>,
     /// Numbers of frames.
     repeated: Vec<usize>,
@@ -83,8 +85,7 @@ fn frames(input: &Input) -> Box<dyn Iterator<Item = CheckedFrame> + '_> {
         let read: Vec<(&FrameEntry, _)> = read.collect();
         // in their order, so that the same ones are too many with any number of threads
         let within = read.into_iter().map(|(frame, (size, image))| {
-            let spent = budget.spend(size.0, size.1);
-            let spent = spent.map_err(|error| Unusable::BrokeOff(error.to_string()));
+            let spent = spend(&mut budget, size);
             (frame.index, frame.timestamp_ns, spent.and(image))
         });
         within.collect::<Vec<_>>()
@@ -111,7 +112,8 @@ pub fn execute(args: &CheckArgs) -> CommandResult {
 /// Field of view with which images are looked at whose calibration is not understood, degrees.
 const SOME_FOV_DEG: f64 = 62.0;
 
-/// The source; where its calibration is not understood, the images all the same, and why `run` refuses it.
+/// The source; where its calibration is not understood, the images all the same, and why `run`
+/// refuses it.
 fn open(args: &CheckArgs) -> Result<(Input, Option<Failure>), Failure> {
     let open = |how: &SourceArgs| Input::open(&args.source, how, WorkingSize::AUTOMATIC);
     let refused = match open(&args.input) {

@@ -291,8 +291,9 @@ pub fn diff(args: &DiffArgs) -> CommandResult {
 struct RunBeside {
     /// Whether they are metres; `None` where there is no summary.
     is_metric: Option<bool>,
-    /// Lowest and highest z of the map seen from above that the run wrote, else what follows from the median height of the camera over
-    /// the floor, which is at z = 0; `None` where neither is known.
+    /// Lowest and highest z of the map seen from above that the run wrote, else what follows from
+    /// the median height of the camera over the floor, which is at z = 0; `None` where neither is
+    /// known.
     band: Option<[f64; 2]>,
 }
 

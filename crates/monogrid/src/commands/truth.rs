@@ -239,8 +239,8 @@ fn of_surface(truth: Truth, made_from: String, cameras: usize) -> Made {
     (truth.grid, report)
 }
 
-/// Cells of a map that any mesh or cloud may fill, and how many more for each of its bytes: a few corners that lie far apart
-/// must not fill the memory.
+/// Cells of a map that any mesh or cloud may fill, and how many more for each of its bytes: a few
+/// corners that lie far apart must not fill the memory.
 const SMALL_FILE_CELLS: u64 = 400_000_000;
 const CELLS_PER_BYTE: u64 = 400;
 

@@ -98,7 +98,8 @@ pub struct UpSummary {
     pub from: &'static str,
     /// How sure the scene is, from 0 to 1; `null` where it was not asked.
     pub confidence: Option<f64>,
-    /// Whether that is sure enough to rely on: a guess from the scene, and how the first camera was held, are not.
+    /// Whether that is sure enough to rely on: a guess from the scene, and how the first camera was
+    /// held, are not.
     pub is_certain: bool,
 }
 

@@ -87,7 +87,8 @@ pub fn verdict(summary: &Summary, tracked: &Tracked) -> String {
     }
 }
 
-/// What became of tracking after it was lost so many times, of which so many left fragments that are not in the map.
+/// What became of tracking after it was lost so many times, of which so many left fragments that
+/// are not in the map.
 fn after_losses(num_lost: usize, num_apart: usize) -> String {
     let times = |num: usize| match num {
         1 => "once".to_owned(),

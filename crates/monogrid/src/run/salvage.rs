@@ -1,8 +1,9 @@
 //! What is saved where an interrupt comes while the end of a run takes its time.
 //!
-//! After the last frame everything is adjusted once more, depth is made dense and maps are built: work that knows no
-//! interrupts and takes minutes where the map is large. What is known before it is kept here. When somebody has interrupted
-//! and the run has not ended by itself soon after, that is written, and the process ends.
+//! After the last frame everything is adjusted once more, depth is made dense and maps are built:
+//! work that knows no interrupts and takes minutes where the map is large. What is known before it
+//! is kept here. When somebody has interrupted and the run has not ended by itself soon after, that
+//! is written, and the process ends.
 
 use super::RunSettings;
 use super::align::in_map;
@@ -23,8 +24,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How long the end of an interrupted run may take, on the clock and of the processor: on a busy computer nothing is given up
-/// that only waits for its turn.
+/// How long the end of an interrupted run may take, on the clock and of the processor: on a busy
+/// computer nothing is given up that only waits for its turn.
 const GRACE: Duration = Duration::from_millis(1200);
 
 /// After this it is given up whatever it waits for.
@@ -144,7 +145,8 @@ struct Writer {
 }
 
 impl Writer {
-    /// Writes what is kept and ends the process; does nothing while tracking goes on, which ends by itself.
+    /// Writes what is kept and ends the process; does nothing while tracking goes on, which ends by
+    /// itself.
     fn write_instead(&self, shared: &Shared) {
         let kept = shared.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(kept) = kept.as_ref() else {
@@ -205,7 +207,8 @@ impl Writer {
         Ok(said)
     }
 
-    /// The map of the depth that the filter has left; `None` where that takes too long, or nothing is to be mapped.
+    /// The map of the depth that the filter has left; `None` where that takes too long, or nothing
+    /// is to be mapped.
     fn map(&self, kept: &Kept) -> Result<Option<OccupancyMap>, MapError> {
         let Some(config) = self.mapping.clone().filter(|_| !kept.keyframes.is_empty()) else {
             return Ok(None);

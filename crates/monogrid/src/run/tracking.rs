@@ -75,8 +75,8 @@ impl<'a> Tracking<'a> {
         interrupted: &'a AtomicBool,
     ) -> Self {
         let num_frames = input.expected_frames().unwrap_or(0);
-        let is_told = settings.seed_depth.is_some() || settings.continued.is_some();
-        let may_be_refused = !input.is_repeatable() && !is_told;
+        let has_depth = settings.seed_depth.is_some() || settings.continued.is_some();
+        let may_be_refused = !input.is_repeatable() && !has_depth;
         Self {
             num_keyframes: pipeline.slam().num_keyframes(),
             pipeline,

@@ -1,4 +1,5 @@
-//! Clients of the pages of `view` and of a run with `--view` that send anything, and do anything afterwards.
+//! Clients of the pages of `view` and of a run with `--view` that send anything, and do anything
+//! afterwards.
 
 use crate::common::{get, hostile_clients, interrupt};
 use crate::limits::{Ended, limited, wait};

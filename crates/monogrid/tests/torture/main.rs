@@ -1,9 +1,10 @@
 //! The campaign of `scripts/torture.sh`: hostile input, kills, full disks, odd names and extreme settings, each against
 //! the program as users start it, with a limit on memory and time.
 //!
-//! It takes minutes, so that every part is ignored unless asked for. `TORTURE_SECONDS` is the time for each kind of
-//! mutated file, client or source, `TORTURE_MUTANTS` a number of them in its place, `TORTURE_SEED` begins another
-//! sequence of mutations, `TORTURE_KEEP` is a folder that inputs which did harm are copied to.
+//! It takes minutes, so that every part is ignored unless asked for. `TORTURE_SECONDS` is the time
+//! for each kind of mutated file, client or source, `TORTURE_MUTANTS` a number of them in its
+//! place, `TORTURE_SEED` begins another sequence of mutations, `TORTURE_KEEP` is a folder that
+//! inputs which did harm are copied to.
 #![cfg(unix)]
 #![allow(clippy::too_many_lines, reason = "a test tells its story in one place")]
 #![allow(

@@ -460,8 +460,8 @@ fn mutated_files_of_every_kind() {
     assert_eq!(harmed, 0, "see above");
 }
 
-/// Whether a kind that has had so many mutants since `begin` gets one more: by their number where one is asked for, else by
-/// the time.
+/// Whether a kind that has had so many mutants since `begin` gets one more: by their number where
+/// one is asked for, else by the time.
 pub fn wanted(runs: usize, begin: Instant) -> bool {
     match from_environment("TORTURE_MUTANTS", 0) {
         0 => begin.elapsed().as_secs() < from_environment("TORTURE_SECONDS", 10),

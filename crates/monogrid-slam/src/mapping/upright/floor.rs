@@ -1,7 +1,8 @@
-//! The floor: the lowest level plane below the cameras that much is seen of, where (almost) nothing lies below it.
+//! The floor: the lowest level plane below the cameras that much is seen of, where (almost) nothing
+//! lies below it.
 //!
-//! Over a desk the lowest level plane that much is seen of is the desk. Beside and under it things are seen that lie lower, and
-//! through a floor nothing is.
+//! Over a desk the lowest level plane that much is seen of is the desk. Beside and under it things
+//! are seen that lie lower, and through a floor nothing is.
 
 use super::UprightConfig;
 use super::evidence::{Evidence, UprightView};
@@ -16,14 +17,17 @@ const MIN_PLANES: usize = 2;
 /// Heights within this share of the height of the cameras over the floor are one plane.
 const SAME_HEIGHT: f64 = 0.08;
 
-/// How far below a level surface something lies that is not the surface itself, in heights of the cameras over it.
+/// How far below a level surface something lies that is not the surface itself, in heights of the
+/// cameras over it.
 const BELOW: f64 = 0.3;
 /// Range up to which depth says so, in the same unit: farther away it is too uncertain.
 const MAX_RANGE: f64 = 6.0;
-/// Cells of that unit in which is counted what is seen, and the pixels that make one count: single ones are mistakes.
+/// Cells of that unit in which is counted what is seen, and the pixels that make one count: single
+/// ones are mistakes.
 const CELLS: f64 = 10.0;
 const MIN_PIXELS: u32 = 3;
-/// Most share of the cells that lie below a floor. Of rooms and streets it is 0 to 0.1 %, of desks 0.5 % and more.
+/// Most share of the cells that lie below a floor. Of rooms and streets it is 0 to 0.1 %, of desks
+/// 0.5 % and more.
 const MAX_BELOW: f64 = 0.003;
 /// Most keyframes that are asked, and every how many-th pixel of a row and column.
 const MAX_VIEWS: usize = 80;

@@ -1,11 +1,12 @@
 //! Up and the floor, from the scene.
 //!
-//! One camera measures no gravity. But floors and tables are level, walls and doors stand upright, and people hold cameras
-//! so that the horizon is roughly level. From all keyframes: **planes** of their depth and **straight edges** of their
-//! images ([`evidence`]) vote for directions that are normal to planes, or lie in planes and along edges ([`vote`]); three
-//! directions of a room get many votes, and how the camera was held, over all keyframes and not only in the first, says
-//! which of them is up. The **floor** is the lowest level plane below the cameras that much is seen of, if (almost) nothing lies
-//! below it ([`floor`]).
+//! One camera measures no gravity. But floors and tables are level, walls and doors stand upright,
+//! and people hold cameras so that the horizon is roughly level. From all keyframes: **planes** of
+//! their depth and **straight edges** of their images ([`evidence`]) vote for directions that are
+//! normal to planes, or lie in planes and along edges ([`vote`]); three directions of a room get
+//! many votes, and how the camera was held, over all keyframes and not only in the first, says
+//! which of them is up. The **floor** is the lowest level plane below the cameras that much is seen
+//! of, if (almost) nothing lies below it ([`floor`]).
 
 mod evidence;
 mod floor;

@@ -189,7 +189,8 @@ pub struct Summary {
     pub up: UpSummary,
     /// The floor at z = 0; `null` where none was found or looked for.
     pub floor: Option<FloorSummary>,
-    /// The level surface at z = 0 that is no floor, since things lie below it: a table, perhaps; `null` where there is none.
+    /// The level surface at z = 0 that is no floor, since things lie below it: a table, perhaps;
+    /// `null` where there is none.
     pub level_surface: Option<FloorSummary>,
     /// What the inertial sensor beside the camera says; not there without one.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -202,8 +203,8 @@ pub struct Summary {
     pub working_size: [usize; 2],
     /// Threads of computation.
     pub threads: usize,
-    /// How the camera moves, as a look at the images said before: `moves`, `stands still`, `only turns`, `unclear`; `null` where nobody
-    /// could look, or need not.
+    /// How the camera moves, as a look at the images said before: `moves`, `stands still`, `only
+    /// turns`, `unclear`; `null` where nobody could look, or need not.
     pub motion: Option<&'static str>,
     /// How far to trust the map, in a sentence; `null` where there is none.
     pub trust: Option<String>,
