@@ -7,7 +7,7 @@
 use crate::depth_step::{observe, regularize};
 use crate::frame::{BufferedFrame, Frame};
 use crate::median::median;
-use crate::sparse::corner_settings;
+use crate::sparse::{NUM_COARSER, corner_settings};
 use crate::start::Started;
 use crate::system::Setup;
 use crate::tracker::MIN_POINTS;
@@ -219,9 +219,6 @@ struct PosedView {
     offset: usize,
     frame_from_reference: Se3,
 }
-
-/// Coarser levels on which a reference with few corners is searched for faint ones.
-const NUM_COARSER: usize = 2;
 
 /// Views that are adjusted together at most.
 const MAX_VIEWS: usize = 10;

@@ -8,7 +8,7 @@ mod template;
 mod tests;
 
 pub use likeness::{Likeness, LikenessConfig, LikenessSlope};
-pub use patch::{PatchSearchConfig, ReferencePatch, find_patch, patch_warp};
+pub use patch::{PatchSearchConfig, ReferencePatch, find_patch, patch_level, patch_warp};
 pub use points::{TrackConfig, TrackOutcome, track_points};
 pub use template::PatchFit;
 

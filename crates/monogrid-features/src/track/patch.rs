@@ -138,6 +138,21 @@ pub fn find_patch(
     accept(*best, config)
 }
 
+/// The finest level on which the patch around `pixel` (level-0 px) stands out of the noise; the
+/// coarsest level of the search where it stands out on none. [`find_patch`] finds it there, so that
+/// a pixel of this level is how exactly it is found.
+#[must_use]
+pub fn patch_level(image: &Pyramid, pixel: &Vec2, config: &PatchSearchConfig) -> usize {
+    let coarsest = config
+        .search_level
+        .min(image.num_levels().saturating_sub(1));
+    let stands_out = |level: &usize| {
+        let least = min_score(config.min_score, *level, *level);
+        ReferencePatch::new(image, pixel, &Matrix2::identity(), *level, least).is_ok()
+    };
+    (0..coarsest).find(stands_out).unwrap_or(coarsest)
+}
+
 /// The warp `reference_from_current` of a small patch that faces the reference camera, from its
 /// inverse depth (1/u, along the optical axis of the reference) and the relative pose.
 ///

@@ -100,6 +100,24 @@ fn faint_blotches_are_followed_on_the_level_on_which_they_stand_out_of_the_noise
 }
 
 #[test]
+fn a_patch_is_found_on_the_finest_level_on_which_it_stands_out() {
+    let config = PatchSearchConfig::default();
+    let mean_level = |image: &Pyramid| {
+        let points = corners(image);
+        let levels = points.iter().map(|p| patch_level(image, p, &config));
+        levels.sum::<usize>() as f64 / points.len() as f64
+    };
+    let strong = pyramid(Texture::new(3).render(W, H, |x, y| (x, y)));
+    assert_eq!(mean_level(&strong), 0.0);
+    let [weak, _] = faint(Vec2::zeros());
+    let weak = mean_level(&weak);
+    assert!((0.9..=2.0).contains(&weak), "{weak}");
+    let nothing = pyramid(GrayImage::filled(W, H, 128.0));
+    let middle = Vec2::new(W as f64 / 2.0, H as f64 / 2.0);
+    assert_eq!(patch_level(&nothing, &middle, &config), config.search_level);
+}
+
+#[test]
 fn what_only_noise_shows_is_not_followed() {
     let mut flat = [1, 2].map(|seed| {
         let mut image = GrayImage::filled(W, H, 128.0);

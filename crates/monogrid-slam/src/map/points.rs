@@ -28,6 +28,9 @@ pub(crate) struct SparsePoint {
     pub prior_sigma: f64,
     /// Keyframes other than the host that see it.
     pub observations: Vec<Observation>,
+    /// Pixel of the finest level on which its patch stands out of the noise, level-0 px: how
+    /// exactly it is found, in multiples of what is usual.
+    pub pixel_size: f64,
     /// Whether it is still used.
     pub alive: bool,
 }

@@ -12,7 +12,7 @@ use monogrid_graph::bundle::{
 };
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Standard deviation of a found position, px.
+/// Standard deviation of a found position, px of the level on which the patch stands out.
 const SIGMA_PX: f64 = 0.6;
 /// Most covisible older keyframes whose poses are adjusted with the newest ones.
 const WINDOW_COVISIBLE: usize = 8;
@@ -215,7 +215,7 @@ impl Problem {
                     keyframe: slot_of(observation.keyframe),
                     point: slot,
                     pixel: lens.ideal(observation.pixel),
-                    inv_sigma_px: 1.0 / SIGMA_PX,
+                    inv_sigma_px: 1.0 / (SIGMA_PX * point.pixel_size),
                 });
             }
         }

@@ -1,18 +1,21 @@
 //! New points of a new keyframe, and those that were not found again.
 
 use super::SparseConfig;
-use super::matching::{dense_idepth, find_in_older};
+use super::matching::{find_in_older, nearby_idepth};
 use crate::map::{Map, MapKeyframe, SparsePoint};
 use monogrid_depth::DepthMap;
-use monogrid_features::{CornerConfig, detect_corners};
+use monogrid_features::{CornerConfig, PatchSearchConfig, detect_corners, patch_level};
 use monogrid_geometry::{Pinhole, Vec2};
-use monogrid_image::Mask;
+use monogrid_image::{Mask, Pyramid};
 
 /// Points anchored per keyframe with fewer observations after this many keyframes are dropped.
 const DROP_AFTER_KEYFRAMES: u32 = 3;
+/// Coarser levels on which corners are searched where the finest shows too few: the faint blotches
+/// of a plain wall stand out of the noise there, and hold the scale where nothing else does.
+pub(crate) const NUM_COARSER: usize = 2;
 
 /// New corners of the newest keyframe where it sees few points, with depth from the dense map (its
-/// units), and where the keyframes used last see them. `seen` are the pixels of the points that it
+/// units) at or around them, and where the keyframes used last see them. `seen` are the pixels of the points that it
 /// sees already.
 pub(crate) fn anchor(
     map: &Map,
@@ -44,7 +47,10 @@ fn corners(
     if missing == 0 {
         return Vec::new();
     }
-    let settings = corner_settings(missing, pinhole, config);
+    let settings = CornerConfig {
+        num_coarser: NUM_COARSER,
+        ..corner_settings(missing, pinhole, config)
+    };
     let Some(pyramid) = newest.pyramid() else {
         return Vec::new();
     };
@@ -53,18 +59,25 @@ fn corners(
     corners
         .iter()
         .filter_map(|corner| {
-            let (idepth, sigma) = dense_idepth(depth, &corner.pixel)?;
+            let (idepth, sigma) = nearby_idepth(depth, &corner.pixel)?;
             Some(SparsePoint {
                 host: newest.id,
                 pixel: corner.pixel,
                 idepth: idepth / unit,
                 prior_idepth: idepth / unit,
                 prior_sigma: sigma / unit,
+                pixel_size: pixel_size(&pyramid, &corner.pixel),
                 observations: Vec::new(),
                 alive: true,
             })
         })
         .collect()
+}
+
+/// [`SparsePoint::pixel_size`] of a point at a pixel of its host's images.
+pub(crate) fn pixel_size(host: &Pyramid, pixel: &Vec2) -> f64 {
+    let level = patch_level(host, pixel, &PatchSearchConfig::default());
+    f64::from(1u32 << level)
 }
 
 /// How corners are detected in the images of a camera.

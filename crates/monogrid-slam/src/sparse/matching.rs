@@ -354,10 +354,24 @@ const LOOKUP_RADIUS: i32 = 2;
 
 /// Median inverse depth around a pixel and its uncertainty, keyframe units.
 pub(super) fn dense_idepth(depth: &DepthMap, pixel: &Vec2) -> Option<(f64, f64)> {
+    idepth_within(LOOKUP_RADIUS, depth, pixel)
+}
+
+/// Half widths of the neighbourhoods in which the depth of a new point is looked up, px.
+const NEARBY_RADII: [i32; 5] = [LOOKUP_RADIUS, 4, 8, 16, 32];
+
+/// The same in the smallest neighbourhood that has depth. A faint corner has none of its own. That
+/// of its surroundings says where other keyframes should see it to a few pixels, and where they do
+/// says how far away it is.
+pub(super) fn nearby_idepth(depth: &DepthMap, pixel: &Vec2) -> Option<(f64, f64)> {
+    let mut radii = NEARBY_RADII.into_iter();
+    radii.find_map(|radius| idepth_within(radius, depth, pixel))
+}
+
+fn idepth_within(radius: i32, depth: &DepthMap, pixel: &Vec2) -> Option<(f64, f64)> {
     let host = depth.host();
     let (cx, cy) = (pixel.x.round() as i32, pixel.y.round() as i32);
-    let around =
-        |c: i32, size: usize| (c - LOOKUP_RADIUS).max(0)..(c + LOOKUP_RADIUS + 1).min(size as i32);
+    let around = |c: i32, size: usize| (c - radius).max(0)..(c + radius + 1).min(size as i32);
     let mut known: Vec<(f32, f32)> = Vec::new();
     for y in around(cy, host.height()) {
         for x in around(cx, host.width()) {
@@ -434,4 +448,40 @@ fn find_in_one(
     };
     let older = (&**older_pyramid, &predicted, search);
     source.find_in(older, &older_from_newest, newest_pyramid, pinhole)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use monogrid_depth::{DepthConfig, HostFrame};
+    use monogrid_image::{GrayImage, Mask};
+    use std::sync::Arc;
+
+    #[test]
+    fn a_corner_without_depth_has_that_of_its_surroundings_if_they_are_near() {
+        // stripes on the left alone, twice as far away on their left half
+        let image = GrayImage::from_fn(160, 48, |x, _| {
+            if x < 64 {
+                60.0 * (x % 8) as f32 / 8.0
+            } else {
+                0.0
+            }
+        });
+        let depth = GrayImage::from_fn(160, 48, |x, _| if x < 32 { 4.0 } else { 2.0 });
+        let (mask, pinhole) = (
+            Mask::filled(160, 48, 255),
+            Pinhole::new(150.0, 150.0, 80.0, 24.0),
+        );
+        let host = HostFrame::new(image, mask, pinhole).unwrap();
+        let mut map = DepthMap::empty(Arc::new(host), &DepthConfig::default());
+        map.initialize_from_depth(&depth, 0.01);
+        let idepth = |x: f64| Some(nearby_idepth(&map, &Vec2::new(x, 24.0))?.0);
+        assert_eq!(idepth(16.0), Some(0.25));
+        assert_eq!(idepth(48.0), Some(0.5));
+        // the nearest is found first, however much there is farther away
+        assert_eq!(idepth(68.0), Some(0.5));
+        assert_eq!(idepth(90.0), Some(0.5));
+        assert_eq!(dense_idepth(&map, &Vec2::new(90.0, 24.0)), None);
+        assert_eq!(idepth(110.0), None);
+    }
 }

@@ -24,10 +24,13 @@ pub(crate) fn register(map: &Map, pinhole: &Pinhole) -> Registration {
     };
     let found = search.found.iter();
     let matches: Vec<MapMatch> = found
-        .map(|(point, pixel)| MapMatch {
-            point_in_world: position(map, &map.points()[*point], pinhole),
-            pixel: *pixel,
-            inv_sigma_px: 1.0 / POSE_SIGMA_PX,
+        .map(|(index, pixel)| {
+            let point = &map.points()[*index];
+            MapMatch {
+                point_in_world: position(map, point, pinhole),
+                pixel: *pixel,
+                inv_sigma_px: 1.0 / (POSE_SIGMA_PX * point.pixel_size),
+            }
         })
         .collect();
     let initial = &newest.camera_from_world;

@@ -11,7 +11,7 @@ use super::slam::Slam;
 use crate::depth_step::tracking_samples;
 use crate::graph::RestoredGraph;
 use crate::map::{Exposure, Map, MapKeyframe, Observation, SeenPoints, SparsePoint, View};
-use crate::sparse::dense_links;
+use crate::sparse::{dense_links, pixel_size};
 use crate::store::Store;
 use crate::stored::{
     ContinueError, Purpose, StoredEdge, StoredKeyframe, StoredLink, StoredMap, StoredPoint,
@@ -155,7 +155,7 @@ pub(super) fn restored<'a>(
     store: &Store,
     map: StoredMap,
 ) -> Result<(Map, RestoredGraph), ContinueError> {
-    let points = restored_points(&map);
+    let mut points = restored_points(&map);
     let seen = seen_points(&points, map.keyframes.len());
     let mut keyframes: Vec<MapKeyframe> = Vec::with_capacity(map.keyframes.len());
     let mut ranks: BTreeMap<FragmentId, u32> = BTreeMap::new();
@@ -163,6 +163,11 @@ pub(super) fn restored<'a>(
         let rank = ranks.entry(stored.fragment).or_default();
         let (setup, seen) = (setup_of(&stored), (*rank, seen));
         let keyframe = restored_keyframe(setup, store, stored, seen, &points)?;
+        if let Some(pyramid) = keyframe.pyramid() {
+            for point in &mut points[keyframe.points.anchored.clone()] {
+                point.pixel_size = pixel_size(&pyramid, &point.pixel);
+            }
+        }
         keyframes.push(keyframe);
         *rank += 1;
     }
@@ -192,6 +197,7 @@ fn restored_points(map: &StoredMap) -> Vec<SparsePoint> {
             idepth: point.idepth,
             prior_idepth: point.prior[0],
             prior_sigma: point.prior[1],
+            pixel_size: 1.0,
             observations: point.observations.iter().map(seen).collect(),
             alive: true,
         })

@@ -35,6 +35,7 @@ fn map_with(fragments: &[FragmentId]) -> Map {
             idepth: f64::from(k),
             prior_idepth: f64::from(k),
             prior_sigma: 0.1,
+            pixel_size: 1.0,
             observations: Vec::new(),
             alive: true,
         });
@@ -316,6 +317,7 @@ fn the_cost_of_a_graph_update_follows_what_moved() {
             idepth: f64::from(k),
             prior_idepth: f64::from(k),
             prior_sigma: 0.1,
+            pixel_size: 1.0,
             observations: Vec::new(),
             alive: true,
         };

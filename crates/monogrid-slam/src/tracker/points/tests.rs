@@ -55,6 +55,7 @@ fn map(step: usize) -> Map {
             idepth: 1.0,
             prior_idepth: 1.0,
             prior_sigma: 0.1,
+            pixel_size: 1.0,
             observations: Vec::new(),
             alive: true,
         })
