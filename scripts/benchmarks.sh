@@ -26,7 +26,7 @@ wanted=("$@")
 [ ${#wanted[@]} -gt 0 ] || wanted=("${parts[@]}")
 
 if [ -z "${BIN:-}" ]; then
-  cargo build --quiet --release -p monogrid
+  cargo build --quiet --release -p monogrid-cli
   export BIN=${CARGO_TARGET_DIR:-target}/release/monogrid
 fi
 bin=$BIN

@@ -25,7 +25,7 @@ mkdir -p "$folder"
 if [ -n "${BIN:-}" ]; then
   bin=$BIN
 else
-  cargo build --quiet --release -p monogrid
+  cargo build --quiet --release -p monogrid-cli
   bin=${CARGO_TARGET_DIR:-target}/release/monogrid
 fi
 rows=$folder/rows

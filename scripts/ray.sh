@@ -12,7 +12,7 @@ if ! command -v "$python" >/dev/null; then
   exit 1
 fi
 if [ -z "${PROGRAM:-}" ]; then
-  cargo build -q --locked --profile "$profile" -p monogrid
+  cargo build -q --locked --profile "$profile" -p monogrid-cli
   folder=$([ "$profile" = dev ] && echo debug || echo "$profile")
   PROGRAM=${CARGO_TARGET_DIR:-target}/$folder/monogrid
 fi

@@ -19,7 +19,7 @@ case $target in
     ;;
 esac
 
-cargo build --locked --profile "$profile" --target "$target" -p monogrid --bin monogrid
+cargo build --locked --profile "$profile" --target "$target" -p monogrid-cli --bin monogrid
 built=$([ "$profile" = dev ] && echo debug || echo "$profile")
 program=${CARGO_TARGET_DIR:-target}/$target/$built/monogrid
 

@@ -22,5 +22,5 @@ done
 "$monogrid" sweep "$out/$world-default/recording.mgk" "$out/$world-thesis/recording.mgk" \
     --truth "$data/truth.ot" --align "gt:$data/groundtruth.txt" \
     --slam-source "$data" --out "$out/sweep"
-"$monogrid" sensor-model --plot "$out/sensor-models"
+"$monogrid" thesis sensor-model --plot "$out/sensor-models"
 echo "$out/sweep/sweep.html and $out/sensor-models/sensor-models.html"

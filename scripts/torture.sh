@@ -16,9 +16,9 @@ export TORTURE_SECONDS=$((60 * ${1:-5})) TORTURE_KILLS=${KILLS:-50} TORTURE_SEED
 if [ -n "${KEEP:-}" ]; then mkdir -p "$KEEP" && TORTURE_KEEP=$(realpath "$KEEP") && export TORTURE_KEEP; fi
 unset KEEP
 failed=0
-cargo test --release -p monogrid --test torture -- --ignored --nocapture --test-threads 1 || failed=1
+cargo test --release -p monogrid-cli --test torture -- --ignored --nocapture --test-threads 1 || failed=1
 cargo test --release -p monogrid-fleet --test packets mutated -- --nocapture || failed=1
-cargo build --release -p monogrid && scripts/bombs.py "${CARGO_TARGET_DIR:-target}/release/monogrid" || failed=1
+cargo build --release -p monogrid-cli && scripts/bombs.py "${CARGO_TARGET_DIR:-target}/release/monogrid" || failed=1
 if [ "${2:-}" = soak ]; then
   scripts/soak.sh known || failed=1
   scripts/soak.sh new || failed=1

@@ -43,8 +43,7 @@
 //! | readings of an inertial sensor, known before ([`Settings::imu`]) or live ([`Pipeline::push_readings`]) | [`inertial`] |
 //! | transforms and camera models | [`geometry`] |
 //!
-//! Without the feature `program` (on by default), nothing is built but these libraries:
-//! `monogrid = { version = "0.1", default-features = false }`. The command of the same name is [`program`].
+//! The command of the same name is the crate `monogrid-cli`.
 #![deny(missing_docs)]
 
 pub use monogrid_datasets as datasets;
@@ -62,50 +61,3 @@ pub use monogrid_image::{GrayImage, Mask, WorkingSize};
 pub use monogrid_occupancy::OccupancyMap;
 pub use monogrid_pipeline::{Event, Finished, Pipeline, PipelineError, Settings, Unusable};
 pub use monogrid_slam::{FrameReport, LostReason, TrackingState, TrajectoryPose};
-
-// what the program is made of, in files beside this one: nobody else sees it
-#[cfg(feature = "program")]
-#[path = ""]
-mod parts {
-    #[macro_use]
-    pub mod say;
-    pub mod args;
-    pub mod batch;
-    pub mod cli;
-    pub mod colours;
-    pub mod commands;
-    pub mod config;
-    pub mod curves;
-    pub mod depth_images;
-    pub mod doubts;
-    pub mod explorer;
-    pub mod failure;
-    pub mod frame_colours;
-    pub mod image_files;
-    pub mod input;
-    pub mod interrupt;
-    pub mod keyframe_pixels;
-    pub mod map_camera;
-    pub mod mapfile;
-    pub mod memory;
-    pub mod output;
-    pub mod picture;
-    pub mod program;
-    pub mod readings;
-    pub mod recorded;
-    pub mod refine;
-    pub mod report;
-    pub mod rolling;
-    pub mod run;
-    pub mod seen;
-    pub mod self_calibration;
-    pub mod surface;
-    pub mod sweep;
-    pub mod tally;
-    pub mod usage;
-    pub mod video_source;
-}
-#[cfg(feature = "program")]
-pub use parts::program;
-#[cfg(feature = "program")]
-use parts::*;

@@ -130,7 +130,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Cli::Server(args) => server(args),
         Cli::Monogrid { arguments } => {
             let name = OsString::from("monogrid");
-            return monogrid::program::main(std::iter::once(name).chain(arguments));
+            return monogrid_cli::program::main(std::iter::once(name).chain(arguments));
         }
     };
     result.unwrap_or_else(|error| {

@@ -16,7 +16,7 @@ use std::ffi::OsString;
 /// Does what a command line asks for (the name of the program first); the exit code. Takes the whole process.
 #[pyfunction]
 fn main(py: Python, arguments: Vec<OsString>) -> u8 {
-    py.detach(|| monogrid::program::main(arguments))
+    py.detach(|| monogrid_cli::program::main(arguments))
 }
 
 #[pymodule]

@@ -218,7 +218,8 @@ impl Slam {
         threads: Option<usize>,
     ) -> PyResult<Self> {
         let mask = mask.map(mask_of).transpose()?;
-        let chosen = monogrid::program::settings(config.as_deref(), &settings).map_err(value)?;
+        let chosen =
+            monogrid_cli::program::settings(config.as_deref(), &settings).map_err(value)?;
         let settings = Settings {
             mask,
             readout_ms: camera.readout_ms,

@@ -20,7 +20,7 @@ const NO_PARENT: u32 = u32::MAX;
 pub enum VocabularyError {
     /// Something else.
     #[error(
-        "not a vocabulary: the file does not begin with MGVOCAB; make one with `monogrid vocabulary`"
+        "not a vocabulary: the file does not begin with MGVOCAB; make one with `monogrid thesis vocabulary`"
     )]
     Magic,
     /// Another version.

@@ -1,0 +1,7 @@
+//! The camera: estimated where nobody gave one, doubted where somebody did, refined by the map.
+
+pub mod doubts;
+pub mod map_camera;
+pub mod refine;
+pub mod rolling;
+pub mod self_calibration;

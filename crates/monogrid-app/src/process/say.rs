@@ -1,0 +1,137 @@
+//! Printing for people who may have stopped reading.
+//!
+//! The standard macros panic when the other end of a pipe is closed (`monogrid info MAP | head`) or the disk is full, and a
+//! run that panics loses its map. These have their names and go on; [`finish`] says in the end what could not be written.
+//!
+//! Names of files, topics and frames come from outside and may hold what a terminal obeys. All text goes through [`printable`].
+
+pub use monogrid_datasets::printable;
+use std::fmt::{self, Arguments, Write as _};
+use std::io::{self, Write};
+use std::sync::OnceLock;
+
+/// The first thing that went wrong with standard output.
+static FAILED: OnceLock<io::Error> = OnceLock::new();
+
+/// Text to standard output.
+pub fn out(text: Arguments) {
+    if let Err(error) = write_printable(io::stdout().lock(), text) {
+        // the first one is kept
+        let _ = FAILED.set(error);
+    }
+}
+
+/// Text to standard error; nothing if nobody reads it.
+pub fn err(text: Arguments) {
+    let _ = write_printable(io::stderr().lock(), text);
+}
+
+fn write_printable(mut to: impl Write, text: Arguments) -> io::Result<()> {
+    /// Keeps the error that a formatter cannot hold.
+    struct Printed<'a, W>(&'a mut W, io::Result<()>);
+    impl<W: Write> fmt::Write for Printed<'_, W> {
+        fn write_str(&mut self, text: &str) -> fmt::Result {
+            self.1 = self.0.write_all(printable(text).as_bytes());
+            match self.1 {
+                Ok(()) => Ok(()),
+                Err(_) => Err(fmt::Error),
+            }
+        }
+    }
+    let mut printed = Printed(&mut to, Ok(()));
+    // an error of the writer is kept, one of a text that formats itself is none of ours
+    let _ = printed.write_fmt(text);
+    printed.1
+}
+
+/// Whether everything has arrived on standard output.
+pub fn finish() -> Result<(), String> {
+    let flushed = io::stdout().lock().flush();
+    match (FAILED.get(), flushed) {
+        (Some(error), _) => Err(error.to_string()),
+        (None, flushed) => flushed.map_err(|error| error.to_string()),
+    }
+}
+
+/// As that of the standard library, through [`printable`], and without a panic.
+#[macro_export]
+macro_rules! print {
+    ($($arg:tt)*) => { $crate::process::say::out(format_args!($($arg)*)) };
+}
+/// As that of the standard library, through [`printable`], and without a panic.
+#[macro_export]
+macro_rules! println {
+    () => { $crate::process::say::out(format_args!("\n")) };
+    ($($arg:tt)*) => { $crate::process::say::out(format_args!("{}\n", format_args!($($arg)*))) };
+}
+/// As that of the standard library, through [`printable`], and without a panic.
+#[macro_export]
+macro_rules! eprint {
+    ($($arg:tt)*) => { $crate::process::say::err(format_args!($($arg)*)) };
+}
+/// As that of the standard library, through [`printable`], and without a panic.
+#[macro_export]
+macro_rules! eprintln {
+    () => { $crate::process::say::err(format_args!("\n")) };
+    ($($arg:tt)*) => { $crate::process::say::err(format_args!("{}\n", format_args!($($arg)*))) };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_terminal_obeys_is_shown() {
+        let printed = |text: &str| {
+            let mut bytes = Vec::new();
+            write_printable(&mut bytes, format_args!("{text}")).unwrap();
+            String::from_utf8(bytes).unwrap()
+        };
+        for (text, shown) in [
+            ("\x1b[2Jname", "\\u001b[2Jname"),
+            ("a\rb\x08\x7f\u{9b}31m", "a\\u000db\\u0008\\u007f\\u009b31m"),
+            ("left\u{202e}thgir\u{2066}", "left\\u202ethgir\\u2066"),
+            (
+                "two\nlines\tand Küche 📷 日本\n",
+                "two\nlines\tand Küche 📷 日本\n",
+            ),
+            ("\\u001b", "\\u001b"),
+        ] {
+            assert_eq!(printed(text), shown);
+        }
+    }
+
+    #[test]
+    fn json_stays_the_same() {
+        let names = [
+            "\x1b]0;title\x07",
+            "\u{9b}2J\u{7f}",
+            "\u{202e}txt.exe",
+            "quote\" and \\",
+        ];
+        for json in [
+            serde_json::to_string(&names),
+            serde_json::to_string_pretty(&names),
+        ] {
+            let json = json.unwrap();
+            let read: Vec<String> = serde_json::from_str(&printable(&json)).unwrap();
+            assert_eq!(read, names);
+            assert!(!printable(&json).contains(monogrid_datasets::is_obeyed));
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_an_error() {
+        struct Full;
+        impl Write for Full {
+            fn write(&mut self, _: &[u8]) -> io::Result<usize> {
+                Err(io::ErrorKind::StorageFull.into())
+            }
+            fn flush(&mut self) -> io::Result<()> {
+                Ok(())
+            }
+        }
+        let error = write_printable(Full, format_args!("text")).unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::StorageFull);
+    }
+}

@@ -1,0 +1,480 @@
+//! The frame in which results are written.
+//!
+//! It is one similarity, `map_from_world`: of the scene, an inertial sensor, `--up`, `--align`, or the earlier session. Poses are
+//! brought to it before the map is built: a finished map is never resampled.
+
+use super::sensed::SensedFrame;
+use crate::process::failure::{Classify, Failure};
+use monogrid_datasets::{TimedPose, read_sim3, read_trajectory};
+use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
+use monogrid_geometry::{Se3, Sim3, Vec3};
+use monogrid_slam::mapping::{
+    Floor, UprightConfig, UprightView, floor_below, level_from_world, upright,
+    z_up_from_camera_world,
+};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// What `--up` asks for.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Up {
+    /// Gravity as an inertial sensor has it, else what the scene says, where either is sure enough, else as the first camera was held.
+    #[default]
+    Scene,
+    /// As the first camera was held, whatever the scene says.
+    FirstCamera,
+    /// A direction in the frame of the first camera (x right, y down, z ahead).
+    Given(Vec3),
+}
+
+/// What `--align` asks for.
+#[derive(Clone, Debug)]
+pub enum Align {
+    /// Nothing: z up.
+    Level(Up),
+    /// A transform from the frame of unaligned results to the frame of a reference.
+    Sim3 {
+        /// The frame of unaligned results.
+        base: Box<Align>,
+        /// The file it came from.
+        path: PathBuf,
+        /// The transform.
+        target_from_results: Sim3,
+    },
+    /// The frame of the map of an earlier run.
+    Map {
+        /// From the world of that run.
+        map_from_world: Sim3,
+        /// What that run says about it.
+        description: String,
+        /// Whether its lengths are metres.
+        is_metric: bool,
+        /// What that run found out about up and the ground.
+        ground: KnownGround,
+    },
+    /// The frame of a trajectory, to which the estimated one is fitted.
+    Trajectory {
+        /// The file it came from.
+        path: PathBuf,
+        /// The trajectory.
+        poses: Vec<TimedPose>,
+    },
+}
+
+/// The frame that was found.
+#[derive(Clone, Debug)]
+pub struct MapFrame {
+    /// From the world of the run.
+    pub map_from_world: Sim3,
+    /// For people and for `summary.json`.
+    pub description: String,
+    /// Whether the frame fixes the scale.
+    pub is_aligned: bool,
+    /// How well a trajectory fitted.
+    pub fit: Option<TrajectoryReport>,
+    /// What z is.
+    pub up: UpSummary,
+    /// The floor at z = 0, where one was found.
+    pub floor: Option<FloorSummary>,
+    /// The level surface at z = 0 that is no floor: things lie below it.
+    pub level_surface: Option<FloorSummary>,
+}
+
+/// What an earlier run found out about up and the ground.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct KnownGround {
+    /// How sure the scene was of up.
+    pub confidence: Option<f64>,
+    /// The floor at z = 0.
+    pub floor: Option<FloorSummary>,
+    /// Or a level surface that is none.
+    pub level_surface: Option<FloorSummary>,
+}
+
+/// What was found out about up, as `summary.json` says it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct UpSummary {
+    /// `imu`, `scene`, `first-camera`, `given` (`--up x,y,z`), `reference` (`--align`) or `earlier` (`--continue`).
+    pub from: &'static str,
+    /// How sure the scene is, from 0 to 1; `null` where it was not asked.
+    pub confidence: Option<f64>,
+    /// Whether that is sure enough to rely on: a guess from the scene, and how the first camera was
+    /// held, are not.
+    pub is_certain: bool,
+}
+
+impl UpSummary {
+    fn new(from: &'static str, confidence: Option<f64>) -> Self {
+        let is_certain = match (from, confidence) {
+            ("first-camera", _) => false,
+            (_, Some(confidence)) => confidence >= CERTAIN,
+            (_, None) => true,
+        };
+        Self {
+            from,
+            confidence,
+            is_certain,
+        }
+    }
+}
+
+/// Confidence of the scene from which up is called certain: wrong ones had up to 0.46.
+const CERTAIN: f64 = 0.5;
+
+/// What was found out about the floor, as `summary.json` says it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FloorSummary {
+    /// Median height of the keyframes' cameras over it, in units of the results.
+    pub camera_height: f64,
+    /// Its share of all level planes that were seen from above.
+    pub share: f64,
+    /// Share of what was seen near the cameras that lies clearly below it.
+    #[serde(default)]
+    pub below: f64,
+}
+
+/// The keyframes and what is needed to look at the scene that they show.
+#[derive(Debug)]
+pub struct Scene<'a> {
+    /// Keyframes of the map.
+    pub views: Vec<UprightView<'a>>,
+    /// Settings.
+    pub config: &'a UprightConfig,
+}
+
+impl Up {
+    /// Reads the argument of `--up`.
+    pub fn parse(argument: &str) -> Result<Self, String> {
+        match argument {
+            "scene" => return Ok(Self::Scene),
+            "first-camera" => return Ok(Self::FirstCamera),
+            _ => {}
+        }
+        let numbers = argument.split(',').map(|number| number.trim().parse().ok());
+        let numbers: Vec<f64> = numbers.collect::<Option<_>>().unwrap_or_default();
+        let direction = <[f64; 3]>::try_from(numbers).ok().map(Vec3::from);
+        let direction = direction.filter(|d| d.norm().is_normal() && d.norm() < 1e6);
+        direction.map(|direction| Self::Given(direction.normalize())).ok_or_else(|| {
+            "expected `scene`, `first-camera`, or a direction x,y,z in the first camera (x right, y down, z ahead)"
+                .to_owned()
+        })
+    }
+
+    /// The frame with z up, in metres where they are known.
+    fn frame<'a>(self, sensed: &SensedFrame, scene: &mut dyn FnMut() -> Scene<'a>) -> MapFrame {
+        let frame = self.level_frame(sensed, scene);
+        match sensed.metres_per_unit {
+            Some(metres) => frame.in_metres(metres),
+            None => frame,
+        }
+    }
+
+    fn level_frame<'a>(
+        self,
+        sensed: &SensedFrame,
+        scene: &mut dyn FnMut() -> Scene<'a>,
+    ) -> MapFrame {
+        let mut known = |up: &Vec3, said, from| {
+            let scene = scene();
+            let floor = floor_below(&scene.views, up, scene.config);
+            level(up, floor.as_ref(), said, from)
+        };
+        match (self, sensed.up_in_world) {
+            (Self::FirstCamera, _) => first_camera(),
+            (Self::Given(up), _) => known(&up, "as given", "given"),
+            (Self::Scene, Some(up)) => known(&up, "as gravity says", "imu"),
+            (Self::Scene, None) => {
+                let scene = scene();
+                let found = upright(&scene.views, scene.config);
+                let confidence = found.as_ref().map_or(0.0, |found| found.confidence);
+                let mut frame = match found {
+                    Some(found) if confidence >= scene.config.min_confidence => {
+                        let said = match confidence >= CERTAIN {
+                            true => "as the scene says",
+                            false => "as the scene seems to say (uncertain)",
+                        };
+                        level(&found.up_in_world, found.floor.as_ref(), said, "scene")
+                    }
+                    _ => uncertain(),
+                };
+                frame.up = UpSummary::new(frame.up.from, Some(confidence));
+                frame
+            }
+        }
+    }
+}
+
+/// The frame of unaligned results where the scene has no say, or is not sure.
+fn first_camera() -> MapFrame {
+    let description = "z up as the first camera was held, x ahead, origin at the first keyframe";
+    MapFrame::new(z_up_from_camera_world(), description, "first-camera")
+}
+
+/// The same, because the scene is not sure.
+fn uncertain() -> MapFrame {
+    MapFrame {
+        description:
+            "z up uncertain, as the first camera was held, x ahead, origin at the first keyframe"
+                .to_owned(),
+        ..first_camera()
+    }
+}
+
+/// The frame with the floor, where there is one, at z = 0.
+fn level(up_in_world: &Vec3, floor: Option<&Floor>, said: &str, from: &'static str) -> MapFrame {
+    let origin = match floor {
+        Some(floor) if floor.is_floor() => "z = 0 at the floor, below the first keyframe",
+        Some(_) => {
+            "z = 0 at the largest level surface (a table?), below the first keyframe (no floor was seen)"
+        }
+        None => "origin at the first keyframe (no floor was seen)",
+    };
+    let description = format!("z up {said}, x ahead of the first camera, {origin}");
+    let summary = |is_floor: bool| {
+        let floor = floor.filter(|floor| floor.is_floor() == is_floor)?;
+        Some(FloorSummary {
+            camera_height: floor.camera_height,
+            share: floor.share,
+            below: floor.below,
+        })
+    };
+    MapFrame {
+        floor: summary(true),
+        level_surface: summary(false),
+        ..MapFrame::new(level_from_world(up_in_world, floor), description, from)
+    }
+}
+
+impl Align {
+    /// Reads what `gt:FILE` or `sim3:FILE` names, else what is up.
+    pub fn parse(argument: Option<&str>, up: Up) -> Result<Self, Failure> {
+        let Some(argument) = argument else {
+            return Ok(Self::Level(up));
+        };
+        match argument.split_once(':') {
+            Some(("gt", file)) => Ok(Self::Trajectory {
+                path: file.into(),
+                poses: read_trajectory(Path::new(file)).bad_input()?,
+            }),
+            Some(("sim3", file)) => Ok(Self::Sim3 {
+                base: Box::new(Self::Level(up)),
+                path: file.into(),
+                target_from_results: read_sim3(Path::new(file)).bad_input()?,
+            }),
+            _ => Err(Failure::input(format!(
+                "--align {argument}: expected gt:FILE (a trajectory) or sim3:FILE"
+            ))),
+        }
+    }
+
+    /// The same, where the unaligned frame is known unless something else was asked for.
+    #[must_use]
+    pub fn in_known_frame(mut self, known: Self) -> Self {
+        match &mut self {
+            Self::Level(Up::Scene) => return known,
+            Self::Sim3 { base, .. } => **base = base.as_ref().clone().in_known_frame(known),
+            _ => {}
+        }
+        self
+    }
+
+    /// The frame of the results, given the estimated trajectory in the world of the run. The scene is only looked at
+    /// where it has a say, and so is what an inertial sensor found.
+    ///
+    /// An alignment that cannot be found is not fatal: the results are written unaligned and the
+    /// reason is returned beside them.
+    pub fn frame<'a>(
+        &self,
+        trajectory: &[(i64, Se3)],
+        sensed: &SensedFrame,
+        scene: &mut dyn FnMut() -> Scene<'a>,
+    ) -> (MapFrame, Option<String>) {
+        let by_reference = |map_from_world, description| MapFrame {
+            is_aligned: true,
+            ..MapFrame::new(map_from_world, description, "reference")
+        };
+        match self {
+            Self::Level(up) => (up.frame(sensed, scene), None),
+            Self::Map {
+                map_from_world,
+                description,
+                is_metric,
+                ground,
+            } => {
+                let frame = MapFrame {
+                    is_aligned: *is_metric,
+                    up: UpSummary::new("earlier", ground.confidence),
+                    floor: ground.floor,
+                    level_surface: ground.level_surface,
+                    ..MapFrame::new(*map_from_world, description, "earlier")
+                };
+                (frame, None)
+            }
+            Self::Sim3 {
+                base,
+                path,
+                target_from_results,
+            } => {
+                let (base, _) = base.frame(trajectory, sensed, scene);
+                let map_from_world = *target_from_results * base.map_from_world;
+                let description = format!("aligned by {}", path.display());
+                (by_reference(map_from_world, description), None)
+            }
+            Self::Trajectory { path, poses } => match fit(trajectory, poses) {
+                Ok(report) => {
+                    let description = format!("frame of {}", path.display());
+                    let mut frame = by_reference(report.gt_from_est, description);
+                    frame.fit = Some(report);
+                    (frame, None)
+                }
+                Err(reason) => {
+                    let path = path.display();
+                    let reason = format!("results are not aligned to {path}: {reason}");
+                    (Up::default().frame(sensed, scene), Some(reason))
+                }
+            },
+        }
+    }
+}
+
+impl MapFrame {
+    /// A frame that does not fix the scale, with what `summary.json` says of where its up is from.
+    fn new(map_from_world: Sim3, description: impl Into<String>, from: &'static str) -> Self {
+        Self {
+            map_from_world,
+            description: description.into(),
+            is_aligned: false,
+            fit: None,
+            up: UpSummary::new(from, None),
+            floor: None,
+            level_surface: None,
+        }
+    }
+    /// The same frame with lengths in metres, of which a unit of the world has so many.
+    fn in_metres(mut self, metres: f64) -> Self {
+        let scaled = Sim3::new(metres, Se3::identity().rotation, Vec3::zeros());
+        self.map_from_world = scaled * self.map_from_world;
+        self.description += ", in metres by the inertial sensor";
+        self.is_aligned = true;
+        let levels = [&mut self.floor, &mut self.level_surface];
+        for level in levels.into_iter().flatten() {
+            level.camera_height *= metres;
+        }
+        self
+    }
+
+    /// Compares the results with a reference that has not decided their frame; returns the transform from the frame of
+    /// the reference to that of the results.
+    pub fn compare(
+        &mut self,
+        trajectory: &[(i64, Se3)],
+        reference: &[TimedPose],
+    ) -> Result<Sim3, String> {
+        let report = fit(trajectory, reference)?;
+        let results_from_reference = self.map_from_world * report.gt_from_est.inverse();
+        self.fit = Some(report);
+        Ok(results_from_reference)
+    }
+}
+
+/// `map_from_camera` of a pose in the world: the scale of the frame applies to the position only.
+pub fn in_map(map_from_world: &Sim3, world_from_camera: &Se3) -> Se3 {
+    (*map_from_world * world_from_camera.with_scale(1.0)).to_se3()
+}
+
+fn fit(trajectory: &[StampedPose], poses: &[TimedPose]) -> Result<TrajectoryReport, String> {
+    evaluate_trajectory(
+        trajectory,
+        &stamped_all(poses),
+        &TrajectoryConfig::default(),
+    )
+    .map_err(|error| error.to_string())
+}
+
+/// A trajectory in the type of the evaluation.
+pub fn stamped_all(poses: &[TimedPose]) -> Vec<StampedPose> {
+    let stamped = |pose: &TimedPose| (pose.timestamp_ns, pose.world_from_camera);
+    poses.iter().map(stamped).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn directions_and_words_say_what_is_up() {
+        assert_eq!(Up::parse("scene"), Ok(Up::Scene));
+        assert_eq!(Up::parse("first-camera"), Ok(Up::FirstCamera));
+        assert_eq!(Up::parse("0,-2,0"), Ok(Up::Given(-Vec3::y())));
+        for bad in [
+            "", "up", "0,0,0", "1,2", "1,2,3,4", "1,x,2,3", "nan,0,1", "inf,0,0",
+        ] {
+            assert!(Up::parse(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_table_is_no_floor_and_everything_says_so() {
+        let surface = |below: f64| Floor {
+            height: -0.8,
+            camera_height: 0.7,
+            share: 0.5,
+            below,
+        };
+        let frame = |below: f64| level(&-Vec3::y(), Some(&surface(below)), "as given", "given");
+        let (floor, table) = (frame(0.0005), frame(0.02));
+        assert_eq!(floor.floor.map(|floor| floor.camera_height), Some(0.7));
+        assert_eq!(floor.level_surface, None);
+        assert_eq!(table.floor, None);
+        assert_eq!(table.level_surface.map(|table| table.below), Some(0.02));
+        assert!(table.description.contains("a table?"), "{table:?}");
+        // z = 0 is there all the same
+        assert_eq!(table.map_from_world, floor.map_from_world);
+        assert_eq!(
+            frame(0.02)
+                .in_metres(2.0)
+                .level_surface
+                .map(|s| s.camera_height),
+            Some(1.4)
+        );
+    }
+
+    #[test]
+    fn up_is_certain_where_somebody_knows_it() {
+        let is_certain = |from, confidence| UpSummary::new(from, confidence).is_certain;
+        assert!(is_certain("imu", None) && is_certain("given", None));
+        assert!(is_certain("scene", Some(0.6)) && !is_certain("scene", Some(0.46)));
+        assert!(!is_certain("first-camera", Some(0.1)) && !is_certain("first-camera", None));
+        assert!(is_certain("earlier", Some(0.6)) && !is_certain("earlier", Some(0.3)));
+    }
+
+    #[test]
+    fn a_scene_that_is_not_sure_leaves_up_to_the_first_camera() {
+        let config = UprightConfig::default();
+        let mut nothing = || Scene {
+            views: Vec::new(),
+            config: &config,
+        };
+        let unsensed = SensedFrame::default();
+        let (frame, warning) = Align::Level(Up::Scene).frame(&[], &unsensed, &mut nothing);
+        assert_eq!(frame.map_from_world, z_up_from_camera_world());
+        assert_eq!(frame.up.from, "first-camera");
+        assert_eq!(frame.up.confidence, Some(0.0));
+        assert!(frame.description.contains("uncertain"), "{frame:?}");
+        assert_eq!((frame.floor, warning), (None, None));
+        let (frame, _) = Align::Level(Up::Given(-Vec3::z())).frame(&[], &unsensed, &mut nothing);
+        assert!((frame.map_from_world.rotation * -Vec3::z() - Vec3::z()).norm() < 1e-12);
+        assert_eq!(frame.up.from, "given");
+
+        let sensed = SensedFrame {
+            up_in_world: Some(-Vec3::x()),
+            metres_per_unit: Some(2.5),
+        };
+        let (frame, _) = Align::Level(Up::Scene).frame(&[], &sensed, &mut nothing);
+        assert_eq!((frame.up.from, frame.is_aligned), ("imu", true));
+        assert!((frame.map_from_world * -Vec3::x() - Vec3::z() * 2.5).norm() < 1e-12);
+        let (frame, _) = Align::Level(Up::FirstCamera).frame(&[], &sensed, &mut nothing);
+        assert_eq!(frame.up.from, "first-camera", "what is asked for is done");
+        assert!((frame.map_from_world.scale - 2.5).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,285 @@
+//! Maps and pictures of them as files.
+
+use crate::output::OutputFolder;
+use crate::process::failure::{Classify, Failure};
+use crate::run::outputs::Paths;
+use crate::run::summary::unit_name;
+use monogrid_datasets::encode_png_rgb;
+use monogrid_occupancy::{MapFormat, OccupancyMap, Projection, VoxelKey, write_ply};
+use monogrid_report::picture::colour::quantile;
+use monogrid_report::picture::voxels::{Cube, View, dollhouse_cut, occupied_cubes, render};
+use monogrid_report::surface::{CellColours, ColouredMesh, MeshFormat};
+use monogrid_slam::mapping::{Maps, MeshConfig, navigation_band};
+
+/// Pictures of the final maps, as PNG files.
+#[derive(Debug)]
+pub struct MapPictures {
+    /// View of the global map.
+    pub preview: Vec<u8>,
+    /// The map before and after loops were closed, where there were loops.
+    pub loops: Option<[Vec<u8>; 2]>,
+    /// Height above which cells hide the room.
+    pub cut: Option<f64>,
+    /// Surface of the global map, where it was asked for.
+    pub mesh: Option<ColouredMesh>,
+    /// Lowest and highest z of the map seen from above.
+    pub band: Option<[f64; 2]>,
+}
+
+/// Writes the maps in all formats, and pictures of them; those of what loops corrected where the path before the corrections
+/// is given.
+pub fn write_maps(
+    folder: &OutputFolder,
+    maps: &Maps,
+    Paths { path, reported }: &Paths,
+    ground: Ground,
+    surface: Surface,
+) -> Result<MapPictures, Failure> {
+    let (written, large) = rayon::join(
+        || write_global(folder, [&maps.global, &maps.local], path, ground, surface),
+        || write_map(folder, "large.ot", &maps.large, MapFormat::Ot),
+    );
+    let (cubes, mut pictures) = written?;
+    large?;
+    if let Some(reported) = reported {
+        let large = occupied_cubes(&maps.large).while_running("the maps cannot be drawn")?;
+        pictures.loops = Some(write_loop_pictures(
+            folder,
+            (&large, reported),
+            (&cubes, path),
+        )?);
+    }
+    Ok(pictures)
+}
+
+/// Writes a map as a file of that name.
+fn write_map(
+    folder: &OutputFolder,
+    name: &str,
+    map: &OccupancyMap,
+    format: MapFormat,
+) -> Result<(), Failure> {
+    folder.write_with(name, |mut out| Ok(format.write(map, &mut out)?))
+}
+
+/// How surfaces are written.
+#[derive(Clone, Copy, Debug)]
+pub struct Surface<'a> {
+    /// Colours of the cells of the global map.
+    pub colours: &'a CellColours,
+    /// Settings.
+    pub config: &'a MeshConfig,
+}
+
+/// Writes the global map and its part around the camera, its cells as points, its surface, it from above, and a picture; its
+/// occupied cells, and pictures without those of loops.
+pub fn write_global(
+    folder: &OutputFolder,
+    [global, local]: [&OccupancyMap; 2],
+    path: &[[f64; 3]],
+    ground: Ground,
+    surface: Surface,
+) -> Result<(Vec<Cube>, MapPictures), Failure> {
+    let draw = || {
+        let cubes = occupied_cubes(global).while_running("the map cannot be projected")?;
+        let band = write_grid(folder, global, &cubes, path, ground)?;
+        let cut = dollhouse_cut(&cubes, path);
+        let preview = encode_png_rgb(&render(&cubes, path, cut, &View::default()));
+        folder.write("preview.png", &preview)?;
+        Ok::<_, Failure>((cubes, preview, cut, band))
+    };
+    let rest = || {
+        rayon::join(
+            || write_mesh(folder, global, ground, surface),
+            || write_cells(folder, [global, local], surface.colours),
+        )
+    };
+    let (drawn, (mesh, written)) = rayon::join(draw, rest);
+    written?;
+    let (cubes, preview, cut, band) = drawn?;
+    let pictures = MapPictures {
+        preview,
+        loops: None,
+        cut,
+        mesh: mesh?,
+        band,
+    };
+    Ok((cubes, pictures))
+}
+
+/// Writes the cells of the global map and of its part around the camera.
+fn write_cells(
+    folder: &OutputFolder,
+    [global, local]: [&OccupancyMap; 2],
+    colours: &CellColours,
+) -> Result<(), Failure> {
+    write_map(folder, "global.ot", global, MapFormat::Ot)?;
+    write_map(folder, "global.bt", global, MapFormat::Bt)?;
+    write_map(folder, "local.ot", local, MapFormat::Ot)?;
+    let colour = |key| colours.of(key);
+    let colour = (colours.has_colour).then_some(&colour as &dyn Fn(VoxelKey) -> [u8; 3]);
+    folder.write_with("cells.ply", |mut out| {
+        Ok(write_ply(global, colour, &mut out)?)
+    })
+}
+
+/// The surface of the map as PLY and glTF, where it is asked for and there is memory for it.
+fn write_mesh(
+    folder: &OutputFolder,
+    map: &OccupancyMap,
+    ground: Ground,
+    surface: Surface,
+) -> Result<Option<ColouredMesh>, Failure> {
+    if !surface.config.enabled {
+        return Ok(None);
+    }
+    let mesh = match surface.colours.mesh(map, surface.config) {
+        Ok(mesh) => mesh,
+        Err(error) => {
+            eprintln!("warning: there is no mesh: {error}");
+            return Ok(None);
+        }
+    };
+    let unit = unit_name(ground.is_metric);
+    for (name, format) in [("mesh.ply", MeshFormat::Ply), ("mesh.glb", MeshFormat::Glb)] {
+        folder.write_with(name, |out| Ok(format.write(&mesh, unit, out)?))?;
+    }
+    Ok(Some(mesh))
+}
+
+/// The map and the path before and after loops were closed, from above: every keyframe where it was when it
+/// was finished, and where the graph has it in the end. The same piece of the world in both.
+fn write_loop_pictures(
+    folder: &OutputFolder,
+    before: (&[Cube], &[[f64; 3]]),
+    after: (&[Cube], &[[f64; 3]]),
+) -> Result<[Vec<u8>; 2], Failure> {
+    let cut = dollhouse_cut(after.0, after.1);
+    let view = View {
+        elevation: std::f64::consts::FRAC_PI_2,
+        frame: extent(after.0),
+        ..View::default()
+    };
+    let drawn = |(cubes, path)| encode_png_rgb(&render(cubes, path, cut, &view));
+    let (before, after) = (drawn(before), drawn(after));
+    folder.write("loops_before.png", &before)?;
+    folder.write("loops_after.png", &after)?;
+    Ok([before, after])
+}
+
+/// Box of what is there, but for a few cells far away, with some room around it.
+fn extent(cubes: &[Cube]) -> Option<[[f64; 3]; 2]> {
+    if cubes.is_empty() {
+        return None;
+    }
+    let ranges = [0, 1, 2].map(|axis| {
+        let mut values: Vec<f64> = cubes.iter().map(|cube| cube.center[axis]).collect();
+        let low = quantile(&mut values, 0.005);
+        let high = quantile(&mut values, 0.995);
+        let room = 0.05 * (high - low);
+        [low - room, high + room]
+    });
+    Some([0, 1].map(|end| ranges.map(|range| range[end])))
+}
+
+/// What is known of the ground that a robot would drive on.
+#[derive(Clone, Copy, Debug)]
+pub struct Ground {
+    /// Whether the floor was found: it is at z = 0 then.
+    pub has_floor: bool,
+    /// Whether a level surface is at z = 0 that is no floor.
+    pub has_level_surface: bool,
+    /// Whether lengths are metres.
+    pub is_metric: bool,
+}
+
+/// Writes the map seen from above; the heights that it shows.
+fn write_grid(
+    folder: &OutputFolder,
+    map: &OccupancyMap,
+    cubes: &[Cube],
+    path: &[[f64; 3]],
+    ground: Ground,
+) -> Result<Option<[f64; 2]>, Failure> {
+    let heights = cubes.iter().map(|cube| cube.center[2]);
+    let Some((grid, band)) = seen_from_above(map, heights, path, ground) else {
+        return Ok(None);
+    };
+    folder.write("map.pgm", grid.to_pgm())?;
+    let note = grid_note(band, ground);
+    folder.write("map.yaml", grid.to_yaml("map.pgm") + &note)?;
+    Ok(Some(band))
+}
+
+/// The map seen from above, of the heights that matter, and these; `heights` are those of its occupied cells. `None` where nothing
+/// of them is known, or the map is too large for it, which is said.
+pub fn seen_from_above(
+    map: &OccupancyMap,
+    heights: impl Iterator<Item = f64>,
+    path: &[[f64; 3]],
+    ground: Ground,
+) -> Option<(Projection, [f64; 2])> {
+    let mut occupied: Vec<f64> = heights.collect();
+    let cameras: Vec<f64> = path.iter().map(|p| p[2]).collect();
+    let band = navigation_band(&mut occupied, &cameras, ground.has_floor);
+    match map.projected(band[0], band[1]) {
+        Ok(grid) => grid.map(|grid| (grid, band)),
+        Err(error) => {
+            eprintln!("warning: there is no map.pgm: {error}");
+            None
+        }
+    }
+}
+
+/// Comment of a grid whose lengths are not metres.
+pub const UNKNOWN_SCALE_WARNING: &str = "# WARNING: the scale is unknown: resolution and origin are map units, not metres as nav2 takes them\n";
+
+/// What the description of the grid says to people, as comments.
+fn grid_note([low, high]: [f64; 2], ground: Ground) -> String {
+    let over = match (ground.has_floor, ground.has_level_surface) {
+        (true, _) => "over the floor",
+        (false, true) => {
+            "(no floor was found: z = 0 is the largest level surface, perhaps a table)"
+        }
+        (false, false) => "(no floor was found)",
+    };
+    let unit = if ground.is_metric { "m" } else { "map units" };
+    let mut note = format!("# cells from z = {low:.3} to {high:.3} {unit} {over}\n");
+    if !ground.is_metric {
+        note += UNKNOWN_SCALE_WARNING;
+    }
+    note
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_grid_of_unknown_scale_warns_whoever_reads_it() {
+        let unknown = Ground {
+            has_floor: false,
+            has_level_surface: false,
+            is_metric: false,
+        };
+        assert!(grid_note([0.1, 1.0], unknown).contains("WARNING"));
+        let metric = Ground {
+            has_floor: true,
+            has_level_surface: false,
+            is_metric: true,
+        };
+        let note = grid_note([0.1, 1.0], metric);
+        assert!(!note.contains("WARNING") && note.contains("over the floor"));
+        let over_table = Ground {
+            has_level_surface: true,
+            ..unknown
+        };
+        assert!(grid_note([0.1, 1.0], over_table).contains("table"));
+        // all of it is comments for a reader of YAML
+        assert!(
+            grid_note([0.1, 1.0], unknown)
+                .lines()
+                .all(|line| line.starts_with('#'))
+        );
+    }
+}

@@ -1,0 +1,175 @@
+//! Progress on standard error: a bar on a terminal, a line now and then elsewhere.
+
+use super::frames::{FrameFate, FrameRow};
+use crate::process::tally;
+use indicatif::ProgressBar;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// A bar that is only drawn on a terminal; warnings are always written.
+#[derive(Debug)]
+pub struct Progress {
+    bar: ProgressBar,
+    begin: Instant,
+    /// When a line was last written, where there is no terminal for the bar.
+    last_line: Option<Instant>,
+    num_done: usize,
+    num_warnings: usize,
+}
+
+/// Time between lines where there is no terminal.
+const LINE_EVERY: Duration = Duration::from_secs(10);
+/// Time between looks at work of which others count what is done.
+const LOOK_EVERY: Duration = Duration::from_millis(250);
+
+/// Warnings of the same kind that are written before the rest is only counted.
+const MAX_WARNINGS: usize = 20;
+
+impl Progress {
+    /// A bar for so many frames; 0 where their number is not known.
+    pub fn new(num_frames: usize, show: bool) -> Self {
+        Self {
+            bar: bar(num_frames, "frames", show),
+            begin: Instant::now(),
+            last_line: (!show).then(Instant::now),
+            num_done: 0,
+            num_warnings: 0,
+        }
+    }
+
+    /// One more frame is done.
+    pub fn frame(&mut self, row: &FrameRow, num_keyframes: usize) {
+        self.num_done += 1;
+        let state = match &row.fate {
+            FrameFate::Processed(report) => match report.reason {
+                Some(reason) => format!("{} ({reason})", report.state.name()),
+                None => report.state.name().to_owned(),
+            },
+            FrameFate::Skipped(_) => "frame unreadable".to_owned(),
+            FrameFate::Repeated => "image repeated".to_owned(),
+            FrameFate::Dropped => "frame dropped".to_owned(),
+            FrameFate::BeforeSeed => "waiting for the seed depth".to_owned(),
+        };
+        let elapsed = self.begin.elapsed();
+        let rate = self.num_done as f64 / elapsed.as_secs_f64().max(1e-3);
+        let total = self.bar.length().unwrap_or_default() as usize;
+        let left = left(self.num_done, total, elapsed);
+        let text = format!("{rate:.0} per second{left} · {num_keyframes} keyframes · {state}");
+        if let Some(last) = &mut self.last_line
+            && last.elapsed() >= LINE_EVERY
+        {
+            *last = Instant::now();
+            match total {
+                0 => eprintln!("{} frames · {text}", self.num_done),
+                _ => eprintln!("{} of {total} frames · {text}", self.num_done),
+            }
+        }
+        self.bar.set_message(text);
+        self.bar.set_position(self.num_done as u64);
+    }
+
+    /// Something the user should know at once.
+    pub fn warn(&mut self, text: &str) {
+        self.num_warnings += 1;
+        if self.num_warnings <= MAX_WARNINGS {
+            self.bar.suspend(|| eprintln!("warning: {text}"));
+        }
+    }
+
+    /// Removes the bar.
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+        if self.num_warnings > MAX_WARNINGS {
+            eprintln!("warning: {} more", self.num_warnings - MAX_WARNINGS);
+        }
+    }
+}
+
+/// Does work that counts its keyframes, and says meanwhile how far it is and how long it will take; `look` is called each time.
+pub fn watched<T>(
+    (what, num_keyframes): (&str, usize),
+    show: bool,
+    look: impl Fn() + Send,
+    work: impl FnOnce(&AtomicUsize) -> T,
+) -> T {
+    let done = &AtomicUsize::new(0);
+    let (ended, wait) = channel::<()>();
+    thread::scope(|scope| {
+        scope.spawn(move || {
+            let bar = bar(num_keyframes, &format!("keyframes · {what}"), show);
+            let begin = Instant::now();
+            let mut last_line = begin;
+            // an end of the work closes the channel
+            while wait.recv_timeout(LOOK_EVERY) == Err(RecvTimeoutError::Timeout) {
+                look();
+                let num_done = done.load(Ordering::Relaxed);
+                let left = left(num_done, num_keyframes, begin.elapsed());
+                bar.set_position(num_done as u64);
+                bar.set_message(left.clone());
+                if !show && last_line.elapsed() >= LINE_EVERY {
+                    last_line = Instant::now();
+                    eprintln!("{what}: {num_done} of {num_keyframes} keyframes{left}");
+                }
+            }
+            bar.finish_and_clear();
+        });
+        let result = work(done);
+        drop(ended);
+        result
+    })
+}
+
+fn bar(count: usize, of: &str, show: bool) -> ProgressBar {
+    let template = match count {
+        0 => format!("{{spinner}} {{pos}} {of} · {{msg}}"),
+        _ => format!("{{bar:30}} {{pos}}/{{len}} {of} · {{msg}}"),
+    };
+    tally::bar(count, &template, show.then_some(8))
+}
+
+/// How long the rest will take if it goes on as until now; empty where that cannot be known.
+fn left(num_done: usize, total: usize, elapsed: Duration) -> String {
+    if num_done == 0 || num_done >= total {
+        return String::new();
+    }
+    let rest = (total - num_done) as f64 / num_done as f64;
+    let seconds = (elapsed.as_secs_f64() * rest).ceil() as u64;
+    match seconds {
+        0..100 => format!(" · about {seconds} s left"),
+        _ => format!(" · about {} min left", seconds.div_ceil(60)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_left_follows_from_what_was_done() {
+        let elapsed = Duration::from_secs(30);
+        assert_eq!(left(30, 45, elapsed), " · about 15 s left");
+        assert_eq!(left(1, 11, elapsed), " · about 5 min left");
+        assert_eq!(
+            [
+                left(0, 9, elapsed),
+                left(9, 9, elapsed),
+                left(5, 0, elapsed)
+            ]
+            .concat(),
+            ""
+        );
+    }
+
+    #[test]
+    fn watched_work_gives_its_result() {
+        let result = watched(
+            ("counting", 3),
+            false,
+            || {},
+            |done| done.fetch_add(3, Ordering::Relaxed) + 7,
+        );
+        assert_eq!(result, 7);
+    }
+}

@@ -1,0 +1,156 @@
+//! A run on the pipeline: what is read, who listens, what becomes of each frame.
+
+use super::RunSettings;
+use super::frames::FrameRow;
+use super::live::Viewer;
+use super::recorder::Recorder;
+use super::salvage::Salvage;
+use super::sessions::Continued;
+use super::tracking::{EarlyEnd, Tracking};
+use crate::input::Input;
+use crate::keyframe_colours::ColourSource;
+use crate::output::OutputFolder;
+use crate::process::failure::{Classify, Failure};
+use crate::process::interrupt::INTERRUPTED;
+use crate::process::usage::process_cpu;
+use monogrid_calibration::CameraMotion;
+use monogrid_datasets::SessionInfo;
+use monogrid_pipeline::{Finished, Pipeline, Reading, Settings, attempt, read_ahead};
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+/// CPU time by what it was used for.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct CpuTimes {
+    /// Tracking, depth and graph together.
+    pub slam: Duration,
+    /// Occupancy maps.
+    pub mapping: Duration,
+    /// Decoding and undistortion.
+    pub reading: Duration,
+    /// Recording and pictures of keyframes.
+    pub recording: Duration,
+}
+
+/// Everything that a run found, but for its final maps.
+#[derive(Debug)]
+pub struct Tracked {
+    /// Every frame.
+    pub rows: Vec<FrameRow>,
+    /// The system, the final trajectory and poses of keyframes, and the maps as they grew.
+    pub run: Finished,
+    /// CPU time.
+    pub cpu: CpuTimes,
+    /// Why it ended early.
+    pub early_end: Option<EarlyEnd>,
+    /// What was found against the calibration, in sentences.
+    pub doubts: Vec<String>,
+    /// Time from the first row of an image to the last, given or found, ms.
+    pub readout_ms: f64,
+    /// How the camera moves, where that is why there is no map.
+    pub no_map: Option<CameraMotion>,
+}
+
+/// Of a run that is not interrupted.
+static NEVER: AtomicBool = AtomicBool::new(false);
+
+/// Tracks all frames, records keyframes and grows the maps.
+pub fn track(
+    input: &Input,
+    folder: &Arc<OutputFolder>,
+    settings: &RunSettings,
+    viewer: Option<&mut Viewer>,
+    salvage: Option<&Salvage>,
+) -> Result<Tracked, Failure> {
+    let session = session_info(input, settings)?;
+    let process_before = process_cpu();
+    let mut pipeline = pipeline(input, settings)?;
+    // without a file, which has no name and ends with the process, all keyframes stay in memory
+    if let Ok(file) = tempfile::tempfile_in(folder.path()) {
+        pipeline.slam().spill_into(file);
+    }
+    let mut frame_colours = None;
+    if !settings.is_localise_only() {
+        let source_colours = ColourSource::of(input);
+        let source = source_colours.as_ref();
+        frame_colours = source.map(|source| Arc::clone(&source.kept));
+        let earlier = settings.earlier().cloned();
+        let sources = (earlier, source_colours);
+        let recorder = Recorder::start(Arc::clone(folder), &session, sources, settings.submaps)?;
+        pipeline.listen(recorder).map_err(Failure::running)?;
+    }
+    let reading = Reading {
+        pace: settings.pace,
+        must_be_used: settings.seed_depth.as_ref().map(|(seeded, _)| *seeded),
+    };
+    if let Some(viewer) = &viewer {
+        pipeline.listen(viewer.ear()).map_err(Failure::running)?;
+    }
+    // what nobody watches is a part of something larger, which looks for interrupts itself
+    let interrupted = salvage.map_or(&NEVER, |_| &INTERRUPTED);
+    let places = (input, folder.path());
+    let colours = frame_colours.as_deref();
+    let mut tracking = Tracking::begin((pipeline, viewer, colours), settings, places, interrupted);
+    // nothing is tracked where nothing can be mapped
+    let source = match input.no_map() {
+        Some(_) => Box::new(std::iter::empty()),
+        None => input.source(colours),
+    };
+    let take = |frame| tracking.take(frame);
+    let reading = match attempt(|| read_ahead(source, &input.preparation, reading, take)) {
+        Ok(reading) => reading.while_running("frames cannot be read")?,
+        Err(message) => {
+            tracking.fail(&message);
+            Duration::ZERO
+        }
+    };
+    tracking.finish(reading + input.reading_cpu(), process_before, salvage)
+}
+
+/// Shows the run while it goes on, if that is wanted.
+pub fn viewer(input: &Input, settings: &RunSettings) -> Result<Option<Viewer>, Failure> {
+    let Some(view) = &settings.view else {
+        return Ok(None);
+    };
+    let (width, height) = input.size();
+    let title = format!("monogrid: {}", input.name);
+    let total = input.expected_frames().unwrap_or(0);
+    Viewer::start(view, &title, (input.pinhole(), [width, height]), total).map(Some)
+}
+
+/// A new pipeline, or one that goes on with the map of an earlier run.
+fn pipeline(input: &Input, settings: &RunSettings) -> Result<Pipeline, Failure> {
+    let config = &settings.config;
+    let earlier = settings.continued.as_ref();
+    let earlier = earlier.map(|Continued { earlier, purpose }| (earlier.map.clone(), *purpose));
+    let inertial = input.inertial.as_ref();
+    let settings = Settings {
+        slam: config.slam.clone(),
+        mapping: config.mapping.clone(),
+        seed: config.seed,
+        threads: settings.threads,
+        imu: inertial.map(|inertial| Arc::clone(&inertial.imu)),
+        ..Settings::default()
+    };
+    Pipeline::with(input.preparation.clone(), settings, earlier).map_err(Failure::input)
+}
+
+fn session_info(input: &Input, settings: &RunSettings) -> Result<SessionInfo, Failure> {
+    let (width, height) = input.size();
+    Ok(SessionInfo {
+        pinhole: *input.pinhole(),
+        width,
+        height,
+        scale: match (&settings.seed_depth, settings.earlier()) {
+            (Some(_), _) => monogrid_datasets::Scale::Metric,
+            (None, Some(earlier)) => earlier.session.scale,
+            (None, None) => monogrid_datasets::Scale::Arbitrary,
+        },
+        seed: settings.config.seed,
+        profile: settings.config.profile.name().to_owned(),
+        source: input.name.clone(),
+        config: settings.config.to_toml()?,
+    })
+}

@@ -1,0 +1,430 @@
+//! Tools on maps: `crop`, `merge`, `transform`, `diff`, `project`, `convert`, `mesh`, `plan`.
+
+use super::bytes;
+use clap::Args;
+use monogrid_app::args::{JsonArg, WriteArgs, positive};
+use monogrid_app::mapfile;
+use monogrid_app::output::{Inputs, OutputFile};
+use monogrid_app::process::failure::{Classify, CommandResult, Failure};
+use monogrid_app::run::outputs::UNKNOWN_SCALE_WARNING;
+use monogrid_datasets::read_sim3;
+use monogrid_evaluation::{PlanConfig, plan_path};
+use monogrid_geometry::Sim3;
+use monogrid_occupancy::{MapFormat, OccupancyMap, Similarity};
+use monogrid_report::surface::{CellColours, MeshFormat};
+use monogrid_slam::mapping::MeshConfig;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// `monogrid crop`.
+#[derive(Debug, Args)]
+pub struct CropArgs {
+    /// Map to read (.ot, .bt or .mgo)
+    pub input: PathBuf,
+    /// Map to write (.ot, .bt or .mgo)
+    pub output: PathBuf,
+    /// Lower corner of the box that is kept
+    #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
+    pub min: [f64; 3],
+    /// Upper corner of the box that is kept
+    #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
+    pub max: [f64; 3],
+    #[command(flatten)]
+    pub write: WriteArgs,
+}
+
+/// `monogrid merge`.
+#[derive(Debug, Args)]
+pub struct MergeArgs {
+    /// Map to read (.ot, .bt or .mgo)
+    pub first: PathBuf,
+    /// Map to add, of the same resolution and frame
+    pub second: PathBuf,
+    /// Map to write (.ot, .bt or .mgo)
+    #[arg(long, value_name = "MAP.{ot,bt,mgo}")]
+    pub out: PathBuf,
+    #[command(flatten)]
+    pub write: WriteArgs,
+}
+
+/// `monogrid transform`.
+#[derive(Debug, Args)]
+pub struct TransformArgs {
+    /// Map to read (.ot, .bt or .mgo)
+    pub input: PathBuf,
+    /// Map to write (.ot, .bt or .mgo)
+    pub output: PathBuf,
+    /// Sim(3) file, target_from_source: scale tx ty tz qx qy qz qw
+    #[arg(long, value_name = "FILE")]
+    pub sim3: PathBuf,
+    /// Edge of the cells that are written [default: that of the input, scaled]
+    #[arg(long, value_name = "L", value_parser = positive)]
+    pub resolution: Option<f64>,
+    #[command(flatten)]
+    pub write: WriteArgs,
+}
+
+/// `monogrid diff`.
+#[derive(Debug, Args)]
+pub struct DiffArgs {
+    /// Map before (.ot, .bt or .mgo)
+    pub before: PathBuf,
+    /// Map after, of the same resolution and frame
+    pub after: PathBuf,
+    #[command(flatten)]
+    pub json: JsonArg,
+}
+
+/// `monogrid project`.
+#[derive(Debug, Args)]
+pub struct ProjectArgs {
+    /// Map to read (.ot, .bt or .mgo)
+    pub map: PathBuf,
+    /// Image to write (.pgm); its description is written beside it (.yaml)
+    pub output: PathBuf,
+    /// Cells whose centres are lower are left out [default: as in map.pgm of the run beside it]
+    #[arg(long, value_name = "Z")]
+    pub min_height: Option<f64>,
+    /// Cells whose centres are higher are left out [default: as in map.pgm of the run beside it]
+    #[arg(long, value_name = "Z")]
+    pub max_height: Option<f64>,
+    #[command(flatten)]
+    pub write: WriteArgs,
+}
+
+/// `monogrid convert`.
+#[derive(Debug, Args)]
+pub struct ConvertArgs {
+    /// Map to read (.ot, .bt or .mgo)
+    pub input: PathBuf,
+    /// File to write (.ot, .bt, .mgo, .ply or .pcd); point clouds hold the centres of occupied cells
+    pub output: PathBuf,
+    #[command(flatten)]
+    pub write: WriteArgs,
+}
+
+/// `monogrid mesh`.
+#[derive(Debug, Args)]
+pub struct MeshArgs {
+    /// Map to read (.ot, .bt or .mgo)
+    pub map: PathBuf,
+    /// Mesh to write: .ply or .glb
+    pub output: PathBuf,
+    /// Pieces of the surface with fewer faces of cells are left out; 0 keeps all
+    #[arg(long, value_name = "N", default_value_t = MeshConfig::default().min_faces)]
+    pub min_faces: usize,
+    #[command(flatten)]
+    pub write: WriteArgs,
+}
+
+/// `monogrid plan`.
+#[derive(Debug, Args)]
+pub struct PlanArgs {
+    /// Map to read (.ot, .bt or .mgo)
+    pub map: PathBuf,
+    /// Where the robot's centre is, in the unit of the map
+    #[arg(value_name = "FROM", value_parser = point, allow_hyphen_values = true)]
+    pub from: [f64; 3],
+    /// Where it is to go
+    #[arg(value_name = "TO", value_parser = point, allow_hyphen_values = true)]
+    pub to: [f64; 3],
+    /// Radius of the robot, a ball, in the unit of the map
+    #[arg(long, value_name = "R", value_parser = positive)]
+    pub robot_radius: f64,
+    /// The robot may enter cells of which nothing is known
+    #[arg(long)]
+    pub through_unknown: bool,
+    #[command(flatten)]
+    pub json: JsonArg,
+}
+
+fn point(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Option<Vec<f64>> = text
+        .split(',')
+        .map(|part| part.trim().parse().ok().filter(|v: &f64| v.is_finite()))
+        .collect();
+    numbers
+        .and_then(|numbers| <[f64; 3]>::try_from(numbers).ok())
+        .ok_or_else(|| "expected three numbers, e.g. -1,0,2.5".to_owned())
+}
+
+/// The file of a map that is to be written, and its format.
+fn map_file(path: &Path, force: bool, inputs: &Inputs) -> Result<(OutputFile, MapFormat), Failure> {
+    let format = MapFormat::from_name(path, &MapFormat::MAPS).bad_input()?;
+    Ok((OutputFile::new(path, force, inputs)?, format))
+}
+
+/// Writes a map, and what it is for people and programs.
+fn finish(
+    map: &OccupancyMap,
+    (file, format): (OutputFile, MapFormat),
+    json: JsonArg,
+) -> CommandResult {
+    mapfile::save(map, &file, format)?;
+    let (counts, resolution) = (map.cell_counts(), map.resolution());
+    let report = serde_json::json!({
+        "resolution": resolution,
+        "leaves": map.leaf_count(),
+        "cells_occupied": counts.occupied,
+        "cells_free": counts.free,
+    });
+    json.print(&report, || {
+        println!(
+            "{}: {} occupied and {} free cells of {resolution} (in the unit of the input)",
+            file.path().display(),
+            counts.occupied,
+            counts.free
+        );
+    })
+}
+
+/// Keeps the cells that touch a box.
+pub fn crop(args: &CropArgs) -> CommandResult {
+    let CropArgs { min, max, .. } = args;
+    let inputs = Inputs::of("the map", &args.input);
+    let output = map_file(&args.output, args.write.force, &inputs)?;
+    if (0..3).any(|axis| min[axis] >= max[axis]) {
+        return Err(Failure::input(format!(
+            "--min {min:?} is not below --max {max:?} in every direction"
+        )));
+    }
+    let (map, _) = mapfile::load(&args.input)?;
+    let kept = map.cropped(*min, *max);
+    let kept = kept.while_running("the map cannot be cropped")?;
+    if kept.leaf_count() == 0 {
+        let reach = map.bounds().map_or_else(
+            || "it is empty".to_owned(),
+            |(low, high)| format!("its cells reach from {low:.3?} to {high:.3?}"),
+        );
+        return Err(Failure::input(format!(
+            "{} has no known cells from --min {min:?} to --max {max:?}: {reach}",
+            args.input.display()
+        )));
+    }
+    finish(&kept, output, args.write.json)
+}
+
+/// Adds the log-odds of two maps, as if both had been measured into one.
+pub fn merge(args: &MergeArgs) -> CommandResult {
+    let inputs = Inputs::of("a map", &args.first).and("a map", &args.second);
+    let output = map_file(&args.out, args.write.force, &inputs)?;
+    let [mut map, other] = load_alike([&args.first, &args.second])?;
+    map.merge(&other)
+        .while_running("the maps cannot be merged")?;
+    finish(&map, output, args.write.json)
+}
+
+/// Two maps with cells of the same size.
+fn load_alike(paths: [&PathBuf; 2]) -> Result<[OccupancyMap; 2], Failure> {
+    let [(first, _), (second, _)] = [mapfile::load(paths[0])?, mapfile::load(paths[1])?];
+    let [a, b] = [first.resolution(), second.resolution()];
+    if (a / b - 1.0).abs() < 1e-6 {
+        return Ok([first, second]);
+    }
+    let [first, second] = paths.map(|path| path.display());
+    Err(Failure::input(format!(
+        "{first} has cells of {a}, {second} of {b}, expected the same"
+    )))
+}
+
+/// Moves a map; a map built with `--align` is better than one that was resampled.
+pub fn transform(args: &TransformArgs) -> CommandResult {
+    let inputs = Inputs::of("the map", &args.input).and("the transform", &args.sim3);
+    let output = map_file(&args.output, args.write.force, &inputs)?;
+    let (map, _) = mapfile::load(&args.input)?;
+    let target_from_source = read_sim3(&args.sim3).bad_input()?;
+    let scaled = map.resolution() * target_from_source.scale;
+    let resolution = args.resolution.unwrap_or(scaled);
+    let moved = map.transformed(&similarity(&target_from_source), resolution);
+    let moved = moved.while_running("the map cannot be transformed")?;
+    finish(&moved, output, args.write.json)
+}
+
+/// The same transform in the types of the occupancy crate.
+pub fn similarity(transform: &Sim3) -> Similarity {
+    let rotation = transform.to_se3().rotation_matrix();
+    Similarity {
+        scale: transform.scale,
+        rotation: std::array::from_fn(|i| std::array::from_fn(|j| rotation[(i, j)])),
+        translation: transform.translation.into(),
+    }
+}
+
+/// `diff --json`: cells by their state before and after.
+#[derive(Debug, Serialize)]
+struct DifferenceReport {
+    same: u64,
+    free_to_occupied: u64,
+    occupied_to_free: u64,
+    only_before: u64,
+    only_after: u64,
+    /// Over the cells that both maps know.
+    mean_log_odds_difference: f64,
+}
+
+/// Counts the cells whose state differs.
+pub fn diff(args: &DiffArgs) -> CommandResult {
+    let [before, after] = load_alike([&args.before, &args.after])?;
+    let difference = before.difference(&after);
+    let difference = difference.while_running("the maps cannot be compared")?;
+    let report = DifferenceReport {
+        same: difference.same,
+        free_to_occupied: difference.free_to_occupied,
+        occupied_to_free: difference.occupied_to_free,
+        only_before: difference.only_before,
+        only_after: difference.only_after,
+        mean_log_odds_difference: difference.mean_log_odds_difference,
+    };
+    args.json.print(&report, || {
+        let [before, after] = [&args.before, &args.after].map(|path| path.display());
+        println!("{:>12} cells in the same state", report.same);
+        println!("{:>12} from free to occupied", report.free_to_occupied);
+        println!("{:>12} from occupied to free", report.occupied_to_free);
+        println!("{:>12} known only in {before}", report.only_before);
+        println!("{:>12} known only in {after}", report.only_after);
+        let mean = report.mean_log_odds_difference;
+        println!("log-odds differ by {mean:.4} on average");
+    })
+}
+
+/// What the summary beside a map says of its lengths.
+struct RunBeside {
+    /// Whether they are metres; `None` where there is no summary.
+    is_metric: Option<bool>,
+    /// Lowest and highest z of the map seen from above that the run wrote, else what follows from
+    /// the median height of the camera over the floor, which is at z = 0; `None` where neither is
+    /// known.
+    band: Option<[f64; 2]>,
+}
+
+impl RunBeside {
+    fn of(map: &Path) -> Self {
+        let path = map.with_file_name("summary.json");
+        let text = std::fs::read_to_string(path).unwrap_or_default();
+        let summary: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
+        let height = summary["floor"]["camera_height"].as_f64();
+        let height = height.filter(|height| height.is_finite() && *height > 0.0);
+        let written = serde_json::from_value::<[f64; 2]>(summary["map"]["band"].clone()).ok();
+        Self {
+            is_metric: summary["scale"].as_str().map(|scale| scale == "metric"),
+            band: written.or(height.map(|height| [0.1 * height, 1.1 * height])),
+        }
+    }
+
+    /// What the description of the grid says to people, as comments.
+    fn note(&self, [low, high]: [f64; 2]) -> String {
+        match self.is_metric {
+            Some(true) => format!("# cells from z = {low:.3} to {high:.3} m\n"),
+            Some(false) => format!(
+                "# cells from z = {low:.3} to {high:.3} map units\n{UNKNOWN_SCALE_WARNING}"
+            ),
+            None => "# WARNING: nothing beside the map says its unit; nav2 takes resolution and origin as metres\n".to_owned(),
+        }
+    }
+}
+
+/// Writes the map seen from above, for nav2's map server.
+pub fn project(args: &ProjectArgs) -> CommandResult {
+    let is_pgm = args.output.extension().is_some_and(|e| e == "pgm");
+    let (Some(name), true) = (args.output.file_name(), is_pgm) else {
+        return Err(Failure::input(format!(
+            "cannot write {}: expected a name that ends in .pgm",
+            args.output.display()
+        )));
+    };
+    let inputs = Inputs::of("the map", &args.map);
+    let yaml = args.output.with_extension("yaml");
+    let pgm_file = OutputFile::new(&args.output, args.write.force, &inputs)?;
+    let yaml_file = OutputFile::new(&yaml, args.write.force, &inputs)?;
+    let (map, _) = mapfile::load(&args.map)?;
+    let beside = RunBeside::of(&args.map);
+    let [lowest, highest] = beside.band.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
+    let low = args.min_height.unwrap_or(lowest);
+    let high = args.max_height.unwrap_or(highest);
+    let projected = map.projected(low, high).bad_input()?;
+    let Some(grid) = projected else {
+        return Err(Failure::input(format!(
+            "{} has no known cells between the heights {low} and {high}",
+            args.map.display(),
+        )));
+    };
+    pgm_file.write(&grid.to_pgm())?;
+    let note = beside.note([low, high]);
+    yaml_file.write((grid.to_yaml(&name.to_string_lossy()) + &note).as_bytes())?;
+    let report = serde_json::json!({
+        "width": grid.width,
+        "height": grid.height,
+        "resolution": grid.resolution,
+        "origin": grid.origin,
+    });
+    args.write.json.print(&report, || {
+        let (pgm, yaml) = (args.output.display(), yaml.display());
+        println!(
+            "{pgm} and {yaml}: {} x {} cells of {}",
+            grid.width, grid.height, grid.resolution
+        );
+    })
+}
+
+/// Reads a map and writes it in another format.
+pub fn convert(args: &ConvertArgs) -> CommandResult {
+    let format = MapFormat::from_name(&args.output, &MapFormat::ALL).bad_input()?;
+    let inputs = Inputs::of("the map", &args.input);
+    let output = OutputFile::new(&args.output, args.write.force, &inputs)?;
+    let (map, from) = mapfile::load(&args.input)?;
+    let file_bytes = mapfile::save(&map, &output, format)?;
+    let to = format.description();
+    let report = serde_json::json!({
+        "from": from.description(),
+        "to": to,
+        "leaves": map.leaf_count(),
+        "file_bytes": file_bytes,
+    });
+    args.write.json.print(&report, || {
+        let (input, output) = (args.input.display(), args.output.display());
+        println!("{input} -> {output}: {to}, {}", bytes(file_bytes));
+        if from == MapFormat::Bt && matches!(format, MapFormat::Ot | MapFormat::Mgo) {
+            println!("a .bt holds no probabilities: free and occupied cells got OctoMap's limits");
+        }
+    })
+}
+
+/// Reads a map and writes its surface, in grey: a map knows no colours.
+pub fn mesh(args: &MeshArgs) -> CommandResult {
+    let format = MeshFormat::from_name(&args.output)?;
+    let inputs = Inputs::of("the map", &args.map);
+    let output = OutputFile::new(&args.output, args.write.force, &inputs)?;
+    let (map, _) = mapfile::load(&args.map)?;
+    let config = MeshConfig {
+        min_faces: args.min_faces,
+        ..MeshConfig::default()
+    };
+    let mesh = CellColours::unknown().mesh(&map, &config);
+    let mesh = mesh.while_running("the surface cannot be made")?;
+    output.write_with(|out| Ok(format.write(&mesh, "the unit of the map", out)?))?;
+    let (vertices, triangles) = (mesh.surface.vertices.len(), mesh.surface.triangles.len());
+    let report = serde_json::json!({ "vertices": vertices, "triangles": triangles });
+    args.write.json.print(&report, || {
+        let output = args.output.display();
+        println!("{output}: {vertices} vertices, {triangles} triangles");
+    })
+}
+
+/// Plans and prints the path.
+pub fn plan(args: &PlanArgs) -> CommandResult {
+    let (map, _) = mapfile::load(&args.map)?;
+    let config = PlanConfig {
+        through_unknown: args.through_unknown,
+        ..PlanConfig::with_radius(args.robot_radius)
+    };
+    let path = plan_path(&map, args.from, args.to, &config).bad_input()?;
+    args.json.print(&path, || {
+        println!(
+            "# x y z in the unit of the map; length {:.3}, at least {:.3} from every obstacle, cells of {}",
+            path.length, path.clearance, path.planning_cell
+        );
+        for [x, y, z] in &path.points {
+            println!("{x:.4} {y:.4} {z:.4}");
+        }
+    })
+}

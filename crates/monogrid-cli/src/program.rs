@@ -1,0 +1,105 @@
+//! The command `monogrid` as a function, for those who bring it along: what runs it is the process's only.
+
+pub use monogrid_app::process::say::printable;
+
+use crate::cli::{Cli, Command, EvaluateCommand};
+use crate::{batch, commands};
+use monogrid_app::config::RunConfig;
+use monogrid_app::process::failure::CommandResult;
+use monogrid_app::process::{failure, memory, usage};
+use monogrid_pipeline::Settings;
+use std::error::Error;
+use std::ffi::OsString;
+use std::path::Path;
+
+/// Does what a command line asks for, the name of the program first, and prints what it has to say; the exit code.
+///
+/// It takes the whole process: its pool of threads, its signals, its standard output. It is meant to be called once.
+pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    // the clock of "frames per second, everything included"
+    usage::process_start();
+    batch::child::end_with_parent();
+    memory::share_heaps();
+    let cli = match Cli::parse(arguments) {
+        Ok(cli) => cli,
+        Err(error) => return failure::usage(&error),
+    };
+    failure::exit_code(failure::caught(|| execute(&cli)))
+}
+
+fn execute(cli: &Cli) -> CommandResult {
+    match &cli.command {
+        Command::Demo(args) => commands::demo::execute(args),
+        Command::Run(args) => commands::run::execute(args),
+        Command::Batch(args) => commands::batch::execute(args),
+        Command::Calibrate(args) => commands::calibrate::execute(args),
+        Command::Cameras(args) => commands::cameras::execute(args),
+        Command::Check(args) => commands::check::execute(args),
+        Command::View(args) => commands::view::execute(args),
+        Command::Map(args) => commands::map::execute(args),
+        Command::Report(args) => commands::report::execute(args),
+        Command::Rescale(args) => commands::rescale::execute(args),
+        Command::MergeRuns(args) => commands::merge_runs::execute(args),
+        Command::Truth(args) => commands::truth::execute(args),
+        Command::Synth(args) => commands::synth::execute(args),
+        Command::Info(args) => commands::info::execute(args),
+        Command::Convert(args) => commands::tools::convert(args),
+        Command::Transform(args) => commands::tools::transform(args),
+        Command::Crop(args) => commands::tools::crop(args),
+        Command::Merge(args) => commands::tools::merge(args),
+        Command::Diff(args) => commands::tools::diff(args),
+        Command::Mesh(args) => commands::tools::mesh(args),
+        Command::Plan(args) => commands::tools::plan(args),
+        Command::Distances(args) => commands::distances::execute(args),
+        Command::Project(args) => commands::tools::project(args),
+        Command::Slice(args) => commands::slice::execute(args),
+        Command::Thesis(command) => command.execute(),
+        Command::Evaluate(command) => match command {
+            EvaluateCommand::Trajectory(args) => commands::evaluate::trajectory(args),
+            EvaluateCommand::Depth(args) => commands::evaluate::depth(args),
+            EvaluateCommand::Map(args) => commands::evaluate_map::map(args),
+            EvaluateCommand::Paths(args) => commands::evaluate_map::paths(args),
+        },
+        Command::Completions(args) => commands::shell::completions(args),
+        Command::Man(args) => commands::shell::man(args),
+    }
+}
+
+/// The settings of a `config.toml`, or the default ones, with changes as `--set` takes them (`mapping.resolution=0.02`).
+///
+/// # Errors
+/// A file or a setting that is not understood, or out of its range.
+pub fn settings(
+    config: Option<&Path>,
+    changes: &[String],
+) -> Result<Settings, Box<dyn Error + Send + Sync>> {
+    let resolved = RunConfig::resolve(None, config, changes);
+    let config = resolved.map_err(failure::Failure::into_error)?;
+    config.validate().map_err(failure::Failure::into_error)?;
+    Ok(Settings {
+        working_size: config.working_size(),
+        slam: config.slam,
+        mapping: config.mapping,
+        seed: config.seed,
+        ..Settings::default()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use monogrid_image::WorkingSize;
+
+    #[test]
+    fn settings_of_a_program_of_ones_own_say_how_many_pixels_are_worked_with()
+    -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
+        let folder = tempfile::tempdir()?;
+        let file = folder.path().join("config.toml");
+        std::fs::write(&file, "profile = \"fast\"\n")?;
+        let fast = super::settings(Some(&file), &[])?;
+        assert_eq!(fast.working_size, WorkingSize::Pixels(120_000));
+        let fewer = super::settings(None, &["working_pixels=5000".to_owned()])?;
+        assert_eq!(fewer.working_size, WorkingSize::Pixels(5000));
+        assert!(super::settings(None, &["working_pixels=5".to_owned()]).is_err());
+        Ok(())
+    }
+}

@@ -1,0 +1,243 @@
+//! Meshes as files: binary little-endian PLY, and glTF 2.0 in its binary form (`.glb`).
+
+use super::ColouredMesh;
+use crate::ReportError;
+use serde_json::{Value, json};
+use std::io::{self, Write};
+use std::path::Path;
+
+/// Formats that meshes are written in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MeshFormat {
+    /// PLY with normals and colours.
+    Ply,
+    /// Binary glTF with normals and colours, y up as its readers expect.
+    Glb,
+}
+
+impl MeshFormat {
+    /// The format that a file name asks for.
+    pub fn from_name(path: &Path) -> Result<Self, ReportError> {
+        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+        match extension.as_deref() {
+            Some("ply") => Ok(Self::Ply),
+            Some("glb") => Ok(Self::Glb),
+            _ => Err(ReportError::MeshFormat {
+                path: path.to_owned(),
+            }),
+        }
+    }
+
+    /// Writes a mesh whose lengths are in `unit`.
+    pub fn write(self, mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result<()> {
+        match self {
+            Self::Ply => write_ply(mesh, unit, out),
+            Self::Glb => write_glb(mesh, unit, out),
+        }
+    }
+}
+
+fn write_ply(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result<()> {
+    let surface = &mesh.surface;
+    write!(
+        out,
+        "ply\nformat binary_little_endian 1.0\ncomment lengths in {unit}\nelement vertex {}\n\
+         property float x\nproperty float y\nproperty float z\n\
+         property float nx\nproperty float ny\nproperty float nz\n\
+         property uchar red\nproperty uchar green\nproperty uchar blue\n\
+         element face {}\nproperty list uchar uint vertex_indices\nend_header\n",
+        surface.vertices.len(),
+        surface.triangles.len()
+    )?;
+    let places = surface.vertices.iter().zip(&surface.normals);
+    for ((vertex, normal), colour) in places.zip(&mesh.colours) {
+        for values in [vertex, normal] {
+            out.write_all(values.map(f32::to_le_bytes).as_flattened())?;
+        }
+        out.write_all(colour)?;
+    }
+    for triangle in &surface.triangles {
+        out.write_all(&[3])?;
+        out.write_all(triangle.map(u32::to_le_bytes).as_flattened())?;
+    }
+    Ok(())
+}
+
+/// Magic number, version, and the kinds of the two chunks of a `.glb` (glTF 2.0 specification, section 4).
+const GLB_MAGIC: [u8; 4] = *b"glTF";
+const GLB_VERSION: u32 = 2;
+const JSON_CHUNK: [u8; 4] = *b"JSON";
+const BINARY_CHUNK: [u8; 4] = *b"BIN\0";
+
+/// Types of components in glTF.
+const FLOAT: u32 = 5126;
+const UNSIGNED_SHORT: u32 = 5123;
+const UNSIGNED_INT: u32 = 5125;
+
+fn write_glb(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result<()> {
+    let surface = &mesh.surface;
+    let bytes = |values: &[[f32; 3]]| -> Vec<u8> {
+        let values = values.as_flattened().iter();
+        values.flat_map(|value| value.to_le_bytes()).collect()
+    };
+    let (vertices, normals) = (bytes(&surface.vertices), bytes(&surface.normals));
+    let colours: Vec<u8> = mesh.colours.iter().flat_map(linear_colour).collect();
+    let indices = surface.triangles.iter().flatten();
+    let indices: Vec<u8> = indices.flat_map(|index| index.to_le_bytes()).collect();
+    let parts = [vertices, normals, colours, indices];
+    let mut description =
+        serde_json::to_vec(&description(mesh, unit, &parts.each_ref().map(Vec::len)))?;
+    // chunks are multiples of four bytes; JSON is filled with spaces
+    description.resize(description.len().next_multiple_of(4), b' ');
+    let binary: usize = parts.iter().map(Vec::len).sum();
+    let total = 12 + 8 + description.len() + 8 + binary;
+    let number = |length: usize| {
+        let length = u32::try_from(length).map_err(io::Error::other)?;
+        Ok::<_, io::Error>(length.to_le_bytes())
+    };
+    out.write_all(&GLB_MAGIC)?;
+    out.write_all(&GLB_VERSION.to_le_bytes())?;
+    out.write_all(&number(total)?)?;
+    out.write_all(&number(description.len())?)?;
+    out.write_all(&JSON_CHUNK)?;
+    out.write_all(&description)?;
+    out.write_all(&number(binary)?)?;
+    out.write_all(&BINARY_CHUNK)?;
+    for part in &parts {
+        out.write_all(part)?;
+    }
+    Ok(())
+}
+
+/// The scene: one node that turns z up to y up, with one mesh; `bytes` of its vertices, normals, colours and indices.
+fn description(mesh: &ColouredMesh, unit: &str, bytes: &[usize; 4]) -> Value {
+    const HALF: f64 = std::f64::consts::FRAC_1_SQRT_2;
+    let surface = &mesh.surface;
+    let count = surface.vertices.len();
+    if surface.triangles.is_empty() {
+        // neither meshes nor buffers may be empty
+        let extras = json!({ "unit": unit });
+        return json!({ "asset": { "version": "2.0", "generator": "monogrid", "extras": extras } });
+    }
+    let corner = |limit: f32, of: fn(f32, f32) -> f32| {
+        let vertices = surface.vertices.iter();
+        vertices.fold([limit; 3], |corner, vertex| {
+            [0, 1, 2].map(|axis| of(corner[axis], vertex[axis]))
+        })
+    };
+    let low = corner(f32::INFINITY, f32::min);
+    let high = corner(f32::NEG_INFINITY, f32::max);
+    let mut offset = 0;
+    let views: Vec<Value> = bytes
+        .iter()
+        .zip([34962, 34962, 34962, 34963])
+        .map(|(length, target)| {
+            offset += length;
+            json!({ "buffer": 0, "byteOffset": offset - length, "byteLength": length, "target": target })
+        })
+        .collect();
+    json!({
+        "asset": { "version": "2.0", "generator": "monogrid", "extras": { "unit": unit } },
+        "scene": 0,
+        "scenes": [{ "nodes": [0] }],
+        "nodes": [{ "mesh": 0, "rotation": [-HALF, 0.0, 0.0, HALF] }],
+        "meshes": [{ "primitives": [{
+            "attributes": { "POSITION": 0, "NORMAL": 1, "COLOR_0": 2 },
+            "indices": 3,
+            "material": 0,
+        }] }],
+        "materials": [{
+            "pbrMetallicRoughness": { "metallicFactor": 0.0, "roughnessFactor": 1.0 },
+            "doubleSided": true,
+        }],
+        "buffers": [{ "byteLength": offset }],
+        "bufferViews": views,
+        "accessors": [
+            { "bufferView": 0, "componentType": FLOAT, "count": count, "type": "VEC3", "min": low, "max": high },
+            { "bufferView": 1, "componentType": FLOAT, "count": count, "type": "VEC3" },
+            { "bufferView": 2, "componentType": UNSIGNED_SHORT, "normalized": true, "count": count, "type": "VEC4" },
+            { "bufferView": 3, "componentType": UNSIGNED_INT, "count": 3 * surface.triangles.len(), "type": "SCALAR" },
+        ],
+    })
+}
+
+/// Colours of vertices are linear in glTF: red, green, blue and an opaque alpha in 16 bits each.
+fn linear_colour(srgb: &[u8; 3]) -> [u8; 8] {
+    let mut bytes = [255; 8];
+    for (two, value) in bytes.chunks_exact_mut(2).zip(srgb) {
+        let value = f64::from(*value) / 255.0;
+        let linear = match value <= 0.04045 {
+            true => value / 12.92,
+            false => ((value + 0.055) / 1.055).powf(2.4),
+        };
+        two.copy_from_slice(&((linear * 65535.0).round() as u16).to_le_bytes());
+    }
+    bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use monogrid_occupancy::{SurfaceMesh, VoxelKey};
+
+    fn triangle() -> ColouredMesh {
+        ColouredMesh {
+            surface: SurfaceMesh {
+                vertices: vec![[0.0, 0.0, 1.0], [2.0, 0.0, 1.0], [0.0, -3.0, 1.0]],
+                normals: vec![[0.0, 0.0, 1.0]; 3],
+                cubes: vec![VoxelKey::new(0, 0, 0); 3],
+                triangles: vec![[0, 1, 2]],
+            },
+            colours: vec![[255, 0, 188], [9, 9, 9], [1, 2, 3]],
+        }
+    }
+
+    fn written(format: MeshFormat, mesh: &ColouredMesh) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        format.write(mesh, "m", &mut bytes).unwrap();
+        bytes
+    }
+
+    #[test]
+    fn a_glb_is_what_the_specification_says() {
+        let glb = written(MeshFormat::Glb, &triangle());
+        let number = |at: usize| u32::from_le_bytes(glb[at..at + 4].try_into().unwrap()) as usize;
+        assert_eq!(
+            (&glb[..4], number(4), number(8)),
+            (b"glTF".as_slice(), 2, glb.len())
+        );
+        let length = number(12);
+        assert_eq!((length % 4, &glb[16..20]), (0, b"JSON".as_slice()));
+        let json: Value = serde_json::from_slice(&glb[20..20 + length]).unwrap();
+        assert_eq!(json["accessors"][0]["min"], json!([0.0, -3.0, 1.0]));
+        assert_eq!(json["accessors"][0]["max"], json!([2.0, 0.0, 1.0]));
+        let binary = 20 + length + 8;
+        assert_eq!(number(20 + length), glb.len() - binary);
+        let view = |k: usize| {
+            let of = |name| json["bufferViews"][k][name].as_u64().unwrap() as usize;
+            &glb[binary + of("byteOffset")..][..of("byteLength")]
+        };
+        assert_eq!(view(0)[12..16], 2.0f32.to_le_bytes());
+        assert_eq!(view(3), [0, 1, 2].map(u32::to_le_bytes).as_flattened());
+        // 188 of sRGB is half of the light
+        let half = u16::from_le_bytes([view(2)[4], view(2)[5]]);
+        assert!(half.abs_diff(32768) < 400, "{half}");
+        assert_eq!(view(2)[..2], [255, 255]);
+        let empty = ColouredMesh {
+            surface: SurfaceMesh::default(),
+            colours: Vec::new(),
+        };
+        assert!(written(MeshFormat::Glb, &empty).len() < 200);
+    }
+
+    #[test]
+    fn a_ply_has_vertices_and_faces() {
+        let ply = written(MeshFormat::Ply, &triangle());
+        let end = ply.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
+        let header = std::str::from_utf8(&ply[..end]).unwrap();
+        assert!(header.contains("element vertex 3\n") && header.contains("element face 1\n"));
+        assert!(header.contains("comment lengths in m\n"));
+        assert_eq!(ply.len(), end + 3 * 27 + 13);
+        assert_eq!(ply[end + 24..end + 27], [255, 0, 188]);
+    }
+}
