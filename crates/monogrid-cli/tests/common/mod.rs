@@ -132,12 +132,6 @@ pub fn write_scans(path: &Path) {
     std::fs::write(path, out).unwrap();
 }
 
-/// Removes the shared sequence of this test program.
-pub fn clean_up() {
-    let folder = std::env::temp_dir().join(format!("monogrid-small-{}", std::process::id()));
-    let _ = std::fs::remove_dir_all(folder);
-}
-
 /// Clients of the page at this address that nobody wants, held open: one promises a body, one a body of 70 TB, one does not read what it
 /// asks for, one begins a request and leaves it at that.
 pub fn hostile_clients(url: &str) -> Vec<TcpStream> {

@@ -1,10 +1,10 @@
 //! Clients of the pages of `view` and of a run with `--view` that send anything, and do anything
 //! afterwards.
 
+use super::limits::{Ended, limited, wait};
+use super::mutations::{mutated, wanted};
+use super::seeds::Seeds;
 use crate::common::{get, hostile_clients, interrupt};
-use crate::limits::{Ended, limited, wait};
-use crate::mutations::{mutated, wanted};
-use crate::seeds::Seeds;
 use crate::{MAX_SECONDS, Tally, from_environment};
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};

@@ -1,8 +1,8 @@
 //! Disks that are full, folders that cannot be written, pipes that are closed.
 
+use super::limits::{Ended, limited, run};
+use super::seeds::Seeds;
 use crate::Tally;
-use crate::limits::{Ended, limited, run};
-use crate::seeds::Seeds;
 use std::path::Path;
 use std::process::Command;
 

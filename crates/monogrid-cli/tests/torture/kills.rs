@@ -1,7 +1,7 @@
 //! Runs that are killed at any moment leave what was complete.
 
-use crate::limits::{limited, run};
-use crate::seeds::Seeds;
+use super::limits::{limited, run};
+use super::seeds::Seeds;
 use crate::{from_environment, row};
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};

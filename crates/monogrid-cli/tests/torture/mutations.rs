@@ -1,7 +1,7 @@
 //! Mutated files for every reader, checksums put right again where there are any.
 
-use crate::limits::{limited, run};
-use crate::seeds::Seeds;
+use super::limits::{limited, run};
+use super::seeds::Seeds;
 use crate::{from_environment, row};
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};

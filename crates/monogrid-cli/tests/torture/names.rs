@@ -1,8 +1,8 @@
 //! Files that are no files, names that nobody expects, links that lead astray.
 
+use super::limits::{limited, run};
+use super::seeds::Seeds;
 use crate::Tally;
-use crate::limits::{limited, run};
-use crate::seeds::Seeds;
 use std::ffi::OsString;
 use std::fs;
 use std::os::unix::ffi::OsStringExt;

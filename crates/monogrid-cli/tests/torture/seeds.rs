@@ -1,7 +1,7 @@
 //! Valid files of every kind, made by the program.
 
+use super::limits::{limited, run};
 use crate::common::copy_of_small_sequence;
-use crate::limits::{limited, run};
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -32,6 +32,7 @@ impl Seeds {
             &["convert", &map, &mgo],
             &["convert", &map, &at("cloud.ply")],
             &[
+                "thesis",
                 "vocabulary",
                 &video,
                 "--every",
@@ -44,6 +45,7 @@ impl Seeds {
                 &at("places.vocabulary"),
             ],
             &[
+                "thesis",
                 "sweep",
                 &recording,
                 "--resolutions",

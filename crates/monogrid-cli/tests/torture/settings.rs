@@ -1,8 +1,8 @@
 //! Settings and options at their ends: a sentence, or a run that ends.
 
+use super::limits::{limited, run};
+use super::seeds::Seeds;
 use crate::Tally;
-use crate::limits::{limited, run};
-use crate::seeds::Seeds;
 
 /// Runs the program; it must end within its limits, and say why where it refuses.
 fn attempt(tally: &mut Tally, seeds: &Seeds, args: &[&str]) {
@@ -165,6 +165,7 @@ fn extreme_options_of_tools() {
         ],
         &["project", &map, &out, "--min-height", "1e300"],
         &[
+            "thesis",
             "sensor-model",
             "--sensor-model",
             "thrun",

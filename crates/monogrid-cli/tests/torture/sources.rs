@@ -1,9 +1,9 @@
 //! Sources that send anything, stall and vanish.
 
+use super::limits::{Ended, limited, wait};
+use super::mutations::{mutated, wanted};
+use super::seeds::Seeds;
 use crate::common::interrupt;
-use crate::limits::{Ended, limited, wait};
-use crate::mutations::{mutated, wanted};
-use crate::seeds::Seeds;
 use crate::{Tally, from_environment};
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};

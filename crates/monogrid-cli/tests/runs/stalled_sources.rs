@@ -1,10 +1,7 @@
 //! Sources that stall, vanish, or end as they should not: a run can be interrupted at any moment, and says what happened.
 #![cfg(unix)]
-#![allow(clippy::unwrap_used, reason = "tests")]
 
-mod common;
-
-use common::{WITHOUT_DENSE_DEPTH, code, monogrid, program, stderr};
+use crate::common::{WITHOUT_DENSE_DEPTH, code, monogrid, program, stderr};
 use monogrid_datasets::{encode_jpeg, encode_png};
 use monogrid_image::{Image, to_gray8};
 use monogrid_worlds::SynthSequence;

@@ -14,20 +14,21 @@
     reason = "a test may panic and talk"
 )]
 
-mod clients;
-#[path = "../common/mod.rs"]
 mod common;
-mod disks;
-mod kills;
-mod limits;
-mod mutations;
-mod names;
-mod seeds;
-mod settings;
-mod sources;
+mod torture {
+    pub mod clients;
+    pub mod disks;
+    pub mod kills;
+    pub mod limits;
+    pub mod mutations;
+    pub mod names;
+    pub mod seeds;
+    pub mod settings;
+    pub mod sources;
+}
 
-use limits::Ended;
 use std::time::Duration;
+use torture::limits::Ended;
 
 /// What an input may cost.
 pub const MAX_SECONDS: u64 = 60;

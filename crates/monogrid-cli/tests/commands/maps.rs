@@ -1,14 +1,6 @@
 //! `map`, `info` and `convert` on data with given poses.
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    reason = "a test may panic and talk"
-)]
 
-mod common;
-
-use common::{code, json, monogrid, small_sequence, stderr, write_scans};
+use crate::common::{code, json, monogrid, small_sequence, stderr, write_scans};
 use std::fs;
 use std::path::Path;
 

@@ -1,15 +1,7 @@
 //! Ground truth, its comparison with maps, and synthetic datasets, through the program.
 #![allow(clippy::too_many_lines, reason = "a test tells its story in one place")]
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    reason = "a test may panic and talk"
-)]
 
-mod common;
-
-use common::{assert_fails, code, json, monogrid, stderr};
+use crate::common::{assert_fails, code, json, monogrid, stderr};
 use monogrid_occupancy::{MapConfig, Occupancy, OccupancyMap, VoxelKey, read_ot, write_ot};
 use serde_json::Value;
 use std::fs;

@@ -1,9 +1,6 @@
 //! Videos as sources, with and without a calibration.
-#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "tests")]
 
-mod common;
-
-use common::{
+use crate::common::{
     WITHOUT_DENSE_DEPTH, assert_fails, code, json, monogrid, program, small_sequence, stderr,
 };
 use monogrid_bags::McapWriter;

@@ -1,14 +1,6 @@
 //! Every number among the settings has a range that is checked and safe.
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    reason = "a test may panic and talk"
-)]
 
-mod common;
-
-use common::{code, monogrid, small_sequence, stderr};
+use crate::common::{code, monogrid, small_sequence, stderr};
 use monogrid_slam::settings::{MAPPING, SLAM};
 use rayon::prelude::*;
 use std::path::Path;

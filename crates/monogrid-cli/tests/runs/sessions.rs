@@ -1,9 +1,6 @@
 //! Runs that go on with the map of an earlier one.
-#![allow(clippy::unwrap_used, reason = "a test may panic")]
 
-mod common;
-
-use common::{
+use crate::common::{
     WITHOUT_DENSE_DEPTH, assert_fails, code, files, json, monogrid, small_sequence, stderr,
 };
 use monogrid_datasets::{Dataset, SourceOptions, encode_png, read_gray, read_trajectory};

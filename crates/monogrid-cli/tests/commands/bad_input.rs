@@ -1,14 +1,6 @@
 //! Bad input gets a sentence that helps and exit code 2, never a panic.
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    reason = "a test may panic and talk"
-)]
 
-mod common;
-
-use common::{assert_fails, code, json, monogrid, stderr};
+use crate::common::{assert_fails, code, json, monogrid, stderr};
 use monogrid_datasets::encode_png;
 use monogrid_image::Image;
 use std::fs;
@@ -381,7 +373,7 @@ fn a_reader_that_goes_away_does_no_harm() {
     let folder = tempfile::tempdir().unwrap();
     let curves = folder.path().join("curves");
     let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_monogrid"))
-        .arg("sensor-model")
+        .args(["thesis", "sensor-model"])
         .args(["--json", "--plot"])
         .arg(&curves)
         .stdout(std::process::Stdio::piped())
@@ -405,7 +397,7 @@ fn a_full_standard_output_is_said_and_is_a_failure() {
     let curves = folder.path().join("curves").display().to_string();
     for args in [
         &["--help"][..],
-        &["sensor-model", "--plot", &curves, "--json"],
+        &["thesis", "sensor-model", "--plot", &curves, "--json"],
     ] {
         let full = fs::File::options().write(true).open("/dev/full").unwrap();
         let output = common::program().args(args).stdout(full).output().unwrap();
@@ -500,6 +492,6 @@ fn a_source_that_shows_far_more_than_it_stores_breaks_off() {
     let ended = monogrid(["check", &source, "--fov", "60"]);
     assert_fails(&ended, 1, &["shows more than"]);
     let words = dir.path().join("words").display().to_string();
-    let ended = monogrid(["vocabulary", &source, "--out", &words]);
+    let ended = monogrid(["thesis", "vocabulary", &source, "--out", &words]);
     assert_fails(&ended, 2, &["shows more than"]);
 }

@@ -1,15 +1,7 @@
 //! Whole runs on a short video of the built-in room: files, determinism, crashes.
 #![allow(clippy::too_many_lines, reason = "a test tells its story in one place")]
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    reason = "a test may panic and talk"
-)]
 
-mod common;
-
-use common::{
+use crate::common::{
     assert_fails, code, copy_of_small_sequence, files, json, monogrid, program, small_sequence,
     stderr,
 };

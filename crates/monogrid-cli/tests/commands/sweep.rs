@@ -1,14 +1,6 @@
 //! `sweep`, `sensor-model`, `slice`, and the evaluation of recordings.
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    clippy::print_stderr,
-    reason = "a test may panic and talk"
-)]
 
-mod common;
-
-use common::{assert_fails, code, json, monogrid, small_sequence, stderr};
+use crate::common::{assert_fails, code, json, monogrid, small_sequence, stderr};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
@@ -66,7 +58,13 @@ fn room() -> &'static Room {
 
 fn sweep(out: &Path, more: &[&str]) -> std::process::Output {
     let room = room();
-    let mut args = vec!["sweep", text(&room.recording), "--truth", text(&room.truth)];
+    let mut args = vec![
+        "thesis",
+        "sweep",
+        text(&room.recording),
+        "--truth",
+        text(&room.truth),
+    ];
     args.extend(["--align", &room.align, "--out", text(out), "--json"]);
     args.extend(["--resolutions", "0.128,0.256"]);
     args.extend(more);
@@ -209,6 +207,7 @@ fn sensor_models_are_drawn() {
     let folder = tempfile::tempdir().unwrap();
     let out = text(folder.path());
     let args = [
+        "thesis",
         "sensor-model",
         "--plot",
         out,
@@ -226,6 +225,7 @@ fn sensor_models_are_drawn() {
         assert!(folder.path().join(file).is_file(), "{file}");
     }
     let bad = [
+        "thesis",
         "sensor-model",
         "--plot",
         out,

@@ -1,9 +1,6 @@
 //! The words of FAB-MAP: trained by the program, used by a run.
-#![allow(clippy::unwrap_used, reason = "a test may panic")]
 
-mod common;
-
-use common::{assert_fails, code, json, monogrid, small_sequence, stderr};
+use crate::common::{assert_fails, code, json, monogrid, small_sequence, stderr};
 use std::fs;
 
 #[test]
@@ -13,7 +10,11 @@ fn a_trained_vocabulary_serves_a_run_and_a_damaged_one_is_refused() {
     let images = small_sequence().display().to_string();
     let train = |out: &str| {
         let arguments = ["--every", "15", "--words", "100", "--json", "--out", out];
-        monogrid(["vocabulary", images.as_str()].into_iter().chain(arguments))
+        monogrid(
+            ["thesis", "vocabulary", images.as_str()]
+                .into_iter()
+                .chain(arguments),
+        )
     };
     let trained = train(&file);
     assert_eq!(code(&trained), 0, "{}", stderr(&trained));
@@ -53,7 +54,7 @@ fn too_little_to_train_on_is_said() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("v").display().to_string();
     let empty = dir.path().join("no images").display().to_string();
-    let failed = monogrid(["vocabulary", &empty, "--out", &out]);
+    let failed = monogrid(["thesis", "vocabulary", &empty, "--out", &out]);
     assert_fails(&failed, 2, &["no images"]);
     assert!(!dir.path().join("v").exists());
 }

@@ -1,9 +1,6 @@
 //! A panic in any part of a run ends it with exit code 1 and a sentence, and what was mapped until then is saved.
-#![allow(clippy::unwrap_used, reason = "tests")]
 
-mod common;
-
-use common::{WITHOUT_DENSE_DEPTH, code, program, small_sequence, stderr};
+use crate::common::{WITHOUT_DENSE_DEPTH, code, program, small_sequence, stderr};
 use std::path::Path;
 use std::process::Output;
 

@@ -1,9 +1,6 @@
 //! Many recordings, each by a run of its own: what is done stays done, and whatever ends halfway is ended by the next call.
-#![allow(clippy::unwrap_used, reason = "a test may panic")]
 
-mod common;
-
-use common::{assert_fails, code, files, json, monogrid, program, small_sequence, stderr};
+use crate::common::{assert_fails, code, files, json, monogrid, program, small_sequence, stderr};
 use monogrid_datasets::encode_png;
 use monogrid_image::Image;
 use serde_json::Value;

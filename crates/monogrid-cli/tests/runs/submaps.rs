@@ -1,9 +1,6 @@
 //! Runs that close submaps: they are the same map as the recording, whoever reads them.
-#![allow(clippy::unwrap_used, reason = "a test may panic")]
 
-mod common;
-
-use common::{assert_fails, code, files, json, monogrid, program, small_sequence, stderr};
+use crate::common::{assert_fails, code, files, json, monogrid, program, small_sequence, stderr};
 use monogrid_datasets::{ReadOptions, RecordedKeyframe, Recording, SubmapTable};
 use std::fs;
 use std::path::{Path, PathBuf};

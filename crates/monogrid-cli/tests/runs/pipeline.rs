@@ -1,9 +1,6 @@
 //! The pipeline as a library: what a viewer, a live camera or a robot writes, and that it finds what the program finds.
-#![allow(clippy::unwrap_used, reason = "a test may panic")]
 
-mod common;
-
-use common::{SMALL_FRAMES, code, json, monogrid, small_sequence, stderr};
+use crate::common::{SMALL_FRAMES, code, json, monogrid, small_sequence, stderr};
 use monogrid_datasets::{Calibration, read_gray};
 use monogrid_geometry::Camera;
 use monogrid_image::GrayImage;
