@@ -96,7 +96,7 @@ fn calibrations_that_cannot_be_right() {
     // twice the size, the same picture
     fs::write(&file, "120 120 79.5 59.5 160 120").unwrap();
     let output = monogrid([Path::new("check"), dir.path(), Path::new("--json")]);
-    let report = common::json(&output);
+    let report = crate::common::json(&output);
     assert!(
         report["warnings"].to_string().contains("it was scaled"),
         "{report}"
@@ -280,7 +280,7 @@ fn constant_images_end_with_code_3_and_without_a_map() {
     let out = out_in(&dir);
     let output = run(dir.path(), &out, &["--json"]);
     assert_eq!(code(&output), 3, "{}", stderr(&output));
-    let summary = common::json(&output);
+    let summary = crate::common::json(&output);
     assert_eq!(summary["keyframes"], 0);
     assert_eq!(summary["status"], "not_initialised");
     assert!(!out.join("global.ot").exists());
@@ -300,7 +300,7 @@ fn unreadable_images_are_skipped_and_ten_in_a_row_end_the_run() {
     let small = Image::filled(40, 30, 9u8);
     fs::write(dir.path().join("008.png"), encode_png(&small)).unwrap();
     let output = run(dir.path(), &out_in(&dir), &["--json"]);
-    let summary = common::json(&output);
+    let summary = crate::common::json(&output);
     assert_eq!(summary["skipped"], 3, "{}", stderr(&output));
     assert_eq!(summary["frames"], 30);
     assert!(stderr(&output).contains("40x30"));
@@ -319,7 +319,7 @@ fn unsorted_and_duplicate_times_are_put_in_order() {
     fs::write(dir.path().join("rgb.txt"), list).unwrap();
     let output = monogrid([Path::new("check"), dir.path(), Path::new("--json")]);
     assert_eq!(code(&output), 0, "{}", stderr(&output));
-    let report = common::json(&output);
+    let report = crate::common::json(&output);
     assert_eq!(report["frames"], 3);
     let warnings = report["warnings"].to_string();
     assert!(
@@ -400,7 +400,11 @@ fn a_full_standard_output_is_said_and_is_a_failure() {
         &["thesis", "sensor-model", "--plot", &curves, "--json"],
     ] {
         let full = fs::File::options().write(true).open("/dev/full").unwrap();
-        let output = common::program().args(args).stdout(full).output().unwrap();
+        let output = crate::common::program()
+            .args(args)
+            .stdout(full)
+            .output()
+            .unwrap();
         assert_fails(&output, 1, &["standard output cannot be written"]);
     }
     assert!(Path::new(&curves).join("sensor-models.html").is_file());
@@ -415,7 +419,7 @@ fn repeated_images_are_left_out_and_counted() {
     }
     let out = out_in(&dir);
     let output = run(dir.path(), &out, &["--json"]);
-    let summary = common::json(&output);
+    let summary = crate::common::json(&output);
     assert_eq!(
         (&summary["frames"], &summary["repeated"]),
         (&20.into(), &20.into())

@@ -421,7 +421,7 @@ fn commands_of_the_documentation_work() {
 fn a_file_beside_the_results_is_an_output_and_no_other_call_takes_it_for_an_input() {
     let batch = Batch::new(&[]);
     let video = batch.path("video");
-    common::copy_of_small_sequence(&video);
+    crate::common::copy_of_small_sequence(&video);
     // in the folder of its own recording, and elsewhere
     let (inside, beside) = (video.join("a.mcap"), batch.path("b.mcap"));
     let line = |name: &str, file: &Path| {
@@ -472,7 +472,7 @@ fn a_run_replaces_the_messages_that_it_wrote_with_its_folder_and_no_others() {
             "--max-frames",
             "30",
         ]);
-        command.args(common::WITHOUT_DENSE_DEPTH);
+        command.args(crate::common::WITHOUT_DENSE_DEPTH);
         command.arg("--out").arg(&out).arg("--mcap").arg(&file);
         command.output().unwrap()
     };
@@ -545,7 +545,7 @@ fn an_output_in_a_folder_of_recordings_is_none_of_them() {
     let batch = Batch::new(&[]);
     let folder = batch.path("folder");
     fs::create_dir(&folder).unwrap();
-    common::copy_of_small_sequence(&folder.join("video"));
+    crate::common::copy_of_small_sequence(&folder.join("video"));
     let call = || {
         let mut command = program();
         command
@@ -573,7 +573,7 @@ fn an_output_in_a_folder_of_recordings_is_none_of_them() {
 fn what_came_of_a_recording_stays_when_it_is_gone() {
     let batch = Batch::new(&[]);
     let video = batch.path("video");
-    common::copy_of_small_sequence(&video);
+    crate::common::copy_of_small_sequence(&video);
     let calibration = batch.path("camera.txt");
     fs::copy(video.join("calibration.txt"), &calibration).unwrap();
     batch.list(&[format!(
@@ -636,7 +636,7 @@ fn a_failure_that_can_pass_is_tried_again_by_the_next_call() {
 fn a_recording_that_vanishes_while_it_is_read_is_done_when_it_is_back() {
     let batch = Batch::new(&[]);
     let (video, aside) = (batch.path("video"), batch.path("aside"));
-    common::copy_of_small_sequence(&video);
+    crate::common::copy_of_small_sequence(&video);
     let line = format!("{}\tname=video\tseed-depth=dataset", video.display());
     batch.list(&[line]);
     let mut child = batch.spawn(&[]);

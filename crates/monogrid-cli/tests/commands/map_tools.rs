@@ -575,7 +575,7 @@ fn maps_and_points_are_seen_as_a_page_a_picture_and_over_loopback() {
 /// The page over a socket is that of the file, or that of a folder, and it ends when it is told to, whatever clients do.
 fn served(what: &str, page: &str) {
     use std::io::{BufRead, BufReader};
-    let mut child = common::program()
+    let mut child = crate::common::program()
         .args(["view", what, "--json"])
         .stdout(std::process::Stdio::piped())
         .spawn()
@@ -587,8 +587,8 @@ fn served(what: &str, page: &str) {
         Some(url.split('"').next()?.to_owned())
     });
     let url = url.expect("an address");
-    let clients = common::hostile_clients(&url);
-    let answer = common::get(&url);
+    let clients = crate::common::hostile_clients(&url);
+    let answer = crate::common::get(&url);
     let head = String::from_utf8_lossy(&answer[..answer.len() - page.len()]);
     assert!(head.starts_with("HTTP/1.1 200"), "{head}");
     let policy = "\r\nContent-Security-Policy: default-src 'none'; script-src";
@@ -597,7 +597,7 @@ fn served(what: &str, page: &str) {
     #[cfg(unix)]
     {
         let begin = std::time::Instant::now();
-        common::interrupt(&child);
+        crate::common::interrupt(&child);
         assert_eq!(child.wait().unwrap().code(), Some(0));
         assert!(begin.elapsed() < std::time::Duration::from_secs(2));
     }

@@ -94,7 +94,7 @@ fn formats_convert_into_each_other() {
     // a truncated file is refused
     let whole = fs::read(path("a.ot")).unwrap();
     fs::write(path("cut.ot"), &whole[..whole.len() / 2]).unwrap();
-    common::assert_fails(&monogrid(["info", &path("cut.ot")]), 2, &["cut.ot"]);
+    crate::common::assert_fails(&monogrid(["info", &path("cut.ot")]), 2, &["cut.ot"]);
 }
 
 #[test]
@@ -110,7 +110,7 @@ fn posed_depth_images_become_a_map() {
     ]);
     assert_eq!(code(&output), 0, "{}", stderr(&output));
     let report = json(&output);
-    assert_eq!(report["scans"], common::SMALL_FRAMES.div_ceil(5));
+    assert_eq!(report["scans"], crate::common::SMALL_FRAMES.div_ceil(5));
     assert!(report["points"].as_u64().unwrap() > 100_000);
     let info = json(&monogrid([Path::new("info"), &map, Path::new("--json")]));
     // the floor of the room is at z = 0, its ceiling below 4 m

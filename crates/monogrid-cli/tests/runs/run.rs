@@ -42,8 +42,8 @@ fn a_run_writes_everything_and_the_same_bytes_for_any_number_of_threads_and_any_
     let output = run(small_sequence(), &first, &["--threads", "1", "--json"]);
     assert_eq!(code(&output), 0, "{}", stderr(&output));
     let summary = json(&output);
-    assert_eq!(summary["frames"], common::SMALL_FRAMES);
-    assert!(summary["tracked"].as_u64().unwrap() as usize > common::SMALL_FRAMES * 9 / 10);
+    assert_eq!(summary["frames"], crate::common::SMALL_FRAMES);
+    assert!(summary["tracked"].as_u64().unwrap() as usize > crate::common::SMALL_FRAMES * 9 / 10);
     assert!(summary["keyframes"].as_u64().unwrap() >= 2, "{summary}");
     assert!(summary["points"].as_u64().unwrap() > 1000);
     assert_eq!(summary["scale"], "metric");
@@ -165,7 +165,7 @@ fn the_report_can_be_explored_without_a_network(run: &Path) {
     for column in ["index", "time", "state", "good", "milliseconds", "keyframe"] {
         assert_eq!(
             frames[column].as_array().unwrap().len(),
-            common::SMALL_FRAMES,
+            crate::common::SMALL_FRAMES,
             "{column}"
         );
     }
@@ -393,7 +393,7 @@ fn damaged_frames_in_the_middle_are_survived() {
     assert_eq!(code(&output), 0, "{}", stderr(&output));
     let summary = json(&output);
     assert_eq!(summary["skipped"], 2);
-    assert!(summary["tracked"].as_u64().unwrap() as usize > common::SMALL_FRAMES * 8 / 10);
+    assert!(summary["tracked"].as_u64().unwrap() as usize > crate::common::SMALL_FRAMES * 8 / 10);
 }
 
 /// Mesh and cells of a run are in colour, in files and on the page, and `map` makes the same mesh.
@@ -599,13 +599,13 @@ fn an_interrupt_saves_everything() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("out");
     let mut child = started(small_sequence(), &out);
-    common::interrupt(&child);
+    crate::common::interrupt(&child);
     let status = child.wait().unwrap();
     assert_eq!(status.code(), Some(4), "a state of its own");
     let text = fs::read_to_string(out.join("summary.json")).unwrap();
     let summary: serde_json::Value = serde_json::from_str(&text).unwrap();
     assert_eq!(summary["status"], "interrupted");
-    assert!(summary["frames"].as_u64().unwrap() < common::SMALL_FRAMES as u64);
+    assert!(summary["frames"].as_u64().unwrap() < crate::common::SMALL_FRAMES as u64);
     assert!(out.join("global.ot").exists());
 }
 
@@ -629,7 +629,7 @@ fn an_interrupt_while_depth_is_made_dense_saves_what_there_is() {
     let mut said = BufReader::new(child.stderr.take().unwrap()).lines();
     let begins = said.find(|line| line.as_ref().unwrap().contains("depth and maps of"));
     begins.expect("the end of the run").unwrap();
-    common::interrupt(&child);
+    crate::common::interrupt(&child);
     let said: Vec<String> = said.map(Result::unwrap).collect();
     assert_eq!(child.wait().unwrap().code(), Some(4), "{said:?}");
     assert!(
@@ -655,7 +655,7 @@ fn an_inertial_sensor_makes_results_metric_and_level() {
     let source = dir.path().join("source");
     copy_of_small_sequence(&source);
     let sequence = SynthSequence::small_demo().unwrap();
-    let sequence = sequence.shortened(common::SMALL_FRAMES);
+    let sequence = sequence.shortened(crate::common::SMALL_FRAMES);
     write_sequence_imu(&sequence, &source, &ImuConfig::default()).unwrap();
     let output = monogrid([Path::new("check"), &source, Path::new("--json")]);
     let imu = &json(&output)["imu"];
@@ -871,8 +871,8 @@ fn clients_that_are_held_open_hold_up_no_run_and_the_address_is_in_no_file() {
     let time = begin.elapsed();
     let begin = Instant::now();
     let (mut child, url) = watched(&seen, &short);
-    let clients = common::hostile_clients(&url);
-    assert!(common::get(&url).starts_with(b"HTTP/1.1 200"));
+    let clients = crate::common::hostile_clients(&url);
+    assert!(crate::common::get(&url).starts_with(b"HTTP/1.1 200"));
     assert_eq!(child.wait().unwrap().code(), Some(0));
     // other tests take their share of the computer; a client that is waited for is waited for without an end
     assert!(begin.elapsed() < 3 * time + Duration::from_secs(10));
@@ -896,9 +896,9 @@ fn an_interrupt_saves_whatever_clients_do() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("out");
     let (mut child, url) = watched(&out, &["--realtime"]);
-    let clients = common::hostile_clients(&url);
+    let clients = crate::common::hostile_clients(&url);
     wait_for_keyframes(&mut child, &out);
-    common::interrupt(&child);
+    crate::common::interrupt(&child);
     assert_eq!(child.wait().unwrap().code(), Some(4));
     drop(clients);
     let names: Vec<String> = files(&out).into_iter().map(|(name, _)| name).collect();

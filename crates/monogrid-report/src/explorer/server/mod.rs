@@ -74,7 +74,6 @@ impl Answer {
     }
 
     /// The content.
-    #[cfg(test)]
     pub fn content(&self) -> &[u8] {
         &self.content
     }
