@@ -5,7 +5,7 @@ use crate::commands::{
     merge_runs, report, rescale, run, shell, slice, synth, tools, truth, view,
 };
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-use monogrid_app::process::say::printable;
+use monogrid_app::process::console::printable;
 use monogrid_thesis::ThesisCommand;
 use std::ffi::OsString;
 

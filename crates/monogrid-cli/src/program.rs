@@ -1,6 +1,6 @@
 //! The command `monogrid` as a function, for those who bring it along: what runs it is the process's only.
 
-pub use monogrid_app::process::say::printable;
+pub use monogrid_app::process::console::printable;
 
 use crate::cli::{Cli, Command, EvaluateCommand};
 use crate::{batch, commands};

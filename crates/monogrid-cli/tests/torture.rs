@@ -43,14 +43,14 @@ pub fn from_environment(name: &str, default: u64) -> u64 {
 
 /// What came of the runs of a part.
 #[derive(Default)]
-pub struct Tally {
+pub struct Outcomes {
     runs: usize,
     refused: usize,
     harmed: usize,
     slowest: Duration,
 }
 
-impl Tally {
+impl Outcomes {
     /// Counts a run and what was wrong with it.
     pub fn count(&mut self, what: &str, ended: &Ended, harms: &[String]) {
         self.runs += 1;

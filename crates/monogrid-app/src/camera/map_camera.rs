@@ -3,7 +3,7 @@
 //! The sparse layer sees hundreds of points from many keyframes: adjusted with the camera free, they show it better than
 //! corners followed over the first seconds, at the cost of some twenty milliseconds per ten keyframes.
 //!
-//! So a calibration that was given is doubted (`doubts`), a camera that nobody gave is refined after a first pass (`refine`), a rolling
+//! So a calibration that was given is checked (`calibration_check`), a camera that nobody gave is refined after a first pass (`refine`), a rolling
 //! shutter is found (`rolling`), and radial distortion that a calibration has left goes into the last adjustment.
 
 use crate::camera::self_calibration::interval_ns;

@@ -1,6 +1,6 @@
 //! The camera: estimated where nobody gave one, doubted where somebody did, refined by the map.
 
-pub mod doubts;
+pub mod calibration_check;
 pub mod map_camera;
 pub mod refine;
 pub mod rolling;

@@ -1,6 +1,6 @@
 //! How a command fails: exit code and message.
 
-use super::say;
+use super::console;
 use monogrid_pipeline::attempt;
 use monogrid_report::ReportError;
 use std::fmt::Display;
@@ -117,7 +117,7 @@ pub fn caught(command: impl FnOnce() -> CommandResult) -> CommandResult {
 
 /// Says why a command failed; its exit code. A command whose result could not be printed has failed.
 pub fn exit_code(result: CommandResult) -> u8 {
-    match (result, say::finish()) {
+    match (result, console::finish()) {
         (Err(failure), _) => failure.report(),
         (Ok(_), Err(error)) => not_printed(&error).report(),
         (Ok(outcome), Ok(())) => outcome.code(),
@@ -127,7 +127,7 @@ pub fn exit_code(result: CommandResult) -> u8 {
 /// Help, version, or what is wrong with the command line; the exit code.
 pub fn usage(message: &clap::Error) -> u8 {
     let printed = message.print().map_err(|error| error.to_string());
-    let printed = printed.and_then(|()| say::finish());
+    let printed = printed.and_then(|()| console::finish());
     match printed {
         _ if message.use_stderr() => 2,
         Ok(()) => 0,

@@ -1,11 +1,11 @@
 //! What the process is to its user and to its system: messages, exit codes, interrupts, memory, threads.
 
 #[macro_use]
-pub mod say;
+pub mod console;
 pub mod failure;
 pub mod interrupt;
 pub mod memory;
-pub mod tally;
+pub mod progress;
 pub mod usage;
 
 use failure::Failure;

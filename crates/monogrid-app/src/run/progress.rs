@@ -1,7 +1,7 @@
 //! Progress on standard error: a bar on a terminal, a line now and then elsewhere.
 
 use super::frames::{FrameFate, FrameRow};
-use crate::process::tally;
+use crate::process::progress;
 use indicatif::ProgressBar;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
@@ -126,7 +126,7 @@ fn bar(count: usize, of: &str, show: bool) -> ProgressBar {
         0 => format!("{{spinner}} {{pos}} {of} · {{msg}}"),
         _ => format!("{{bar:30}} {{pos}}/{{len}} {of} · {{msg}}"),
     };
-    tally::bar(count, &template, show.then_some(8))
+    progress::bar(count, &template, show.then_some(8))
 }
 
 /// How long the rest will take if it goes on as until now; empty where that cannot be known.

@@ -46,7 +46,7 @@ pub struct Tracked {
     /// Why it ended early.
     pub early_end: Option<EarlyEnd>,
     /// What was found against the calibration, in sentences.
-    pub doubts: Vec<String>,
+    pub warnings: Vec<String>,
     /// Time from the first row of an image to the last, given or found, ms.
     pub readout_ms: f64,
     /// How the camera moves, where that is why there is no map.

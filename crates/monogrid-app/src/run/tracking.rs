@@ -7,7 +7,7 @@ use super::live::Viewer;
 use super::progress::Progress;
 use super::salvage::Salvage;
 use super::threads::{CpuTimes, Tracked};
-use crate::camera::doubts::CalibrationCheck;
+use crate::camera::calibration_check::CalibrationCheck;
 use crate::camera::rolling::ShutterSearch;
 use crate::input::frame_colours::FrameColours;
 use crate::input::seen::{no_map, watch_of_working_images};
@@ -240,8 +240,8 @@ impl<'a> Tracking<'a> {
             }
         }
         let seen = (self.pipeline.slam(), &self.shutter.taken_out);
-        for doubt in self.calibration.early(seen, self.num_keyframes) {
-            self.progress.warn(doubt);
+        for warning in self.calibration.early(seen, self.num_keyframes) {
+            self.progress.warn(warning);
         }
         (FrameFate::Processed(Box::new(report)), posed)
     }
@@ -282,7 +282,7 @@ impl<'a> Tracking<'a> {
     }
 
     /// What the map says against the calibration, in sentences; nothing where a part of the program has failed.
-    fn doubts(&mut self, rows: &[FrameRow]) -> Vec<String> {
+    fn camera_warnings(&mut self, rows: &[FrameRow]) -> Vec<String> {
         if matches!(self.early_end, Some(EarlyEnd::Failed(_))) {
             return Vec::new();
         }
@@ -295,16 +295,16 @@ impl<'a> Tracking<'a> {
         let share = poses.count() as f64 / rows.len().max(1) as f64;
         let seen = (self.pipeline.slam(), &self.shutter.taken_out);
         let left_radial = self.calibration.left_radial(seen);
-        let mut doubts = self.calibration.end(seen, share);
-        doubts.extend(self.shutter.conclusion());
+        let mut warnings = self.calibration.end(seen, share);
+        warnings.extend(self.shutter.conclusion());
         if let Some(radial) = left_radial {
             self.pipeline.take_left_radial(radial);
-            doubts.push(format!(
+            warnings.push(format!(
                 "the calibration leaves a radial distortion of {radial:+.4} in the images, by which the poses were adjusted in the end; \
                  --refine-calibration takes it out of the images"
             ));
         }
-        doubts
+        warnings
     }
 
     /// After the last frame: everything that was found. Given the CPU time of the reader, and of the process before the first frame.
@@ -321,12 +321,12 @@ impl<'a> Tracking<'a> {
             salvage.keep(self.pipeline.slam(), size, rows.len());
         }
         self.early_end = self.early_end.take().or_else(|| self.end_of_source(&rows));
-        let mut doubts = self.doubts(&rows);
+        let mut warnings = self.camera_warnings(&rows);
         let seen = self.watch.take().map(MotionWatch::conclusion);
         let mut seen = seen.filter(|did| no_map(*did).is_some());
         if self.early_end.is_some() {
             // what came before the end is kept as it is
-            doubts.extend(seen.take().and_then(no_map).map(str::to_owned));
+            warnings.extend(seen.take().and_then(no_map).map(str::to_owned));
         }
         let limit = self.settings.memory_limit;
         if let Some(viewer) = self.viewer {
@@ -358,7 +358,7 @@ impl<'a> Tracking<'a> {
             },
             run,
             early_end,
-            doubts,
+            warnings,
             readout_ms: self.shutter.wanted_ms,
             no_map: self.no_map.or(seen),
         })

@@ -9,7 +9,7 @@ const MAX_NAMED: usize = 3;
 const MIN_MISSING: f64 = 0.1;
 
 /// What is uncertain of a map, and what makes it certain.
-struct Doubt {
+struct Uncertainty {
     what: &'static str,
     cure: &'static str,
 }
@@ -21,7 +21,7 @@ pub fn trust(summary: &Summary, input: &Input) -> Option<String> {
     if !has_map || is_refused {
         return None;
     }
-    Some(sentence(&doubts(summary, is_focal_assumed(input))))
+    Some(sentence(&uncertainties(summary, is_focal_assumed(input))))
 }
 
 fn is_focal_assumed(input: &Input) -> bool {
@@ -30,7 +30,7 @@ fn is_focal_assumed(input: &Input) -> bool {
 }
 
 /// What is uncertain, the worst first.
-fn doubts(summary: &Summary, is_focal_assumed: bool) -> Vec<Doubt> {
+fn uncertainties(summary: &Summary, is_focal_assumed: bool) -> Vec<Uncertainty> {
     let missing = 1.0 - summary.tracked as f64 / summary.frames.max(1) as f64;
     let is_open = summary.loop_closures == 0 && summary.keyframes >= OPEN_PATH;
     let all = [
@@ -81,19 +81,21 @@ fn doubts(summary: &Summary, is_focal_assumed: bool) -> Vec<Doubt> {
         ),
     ];
     let found = all.into_iter().filter(|(is_doubted, ..)| *is_doubted);
-    found.map(|(_, what, cure)| Doubt { what, cure }).collect()
+    found
+        .map(|(_, what, cure)| Uncertainty { what, cure })
+        .collect()
 }
 
 /// Keyframes from which a path without a loop may have drifted.
 const OPEN_PATH: usize = 30;
 
-fn sentence(doubts: &[Doubt]) -> String {
-    if doubts.is_empty() {
+fn sentence(uncertainties: &[Uncertainty]) -> String {
+    if uncertainties.is_empty() {
         return "How far to trust this map: camera, scale, up and floor are known, and (nearly) all frames are in it.".to_owned();
     }
-    let named = doubts.iter().take(MAX_NAMED);
+    let named = uncertainties.iter().take(MAX_NAMED);
     let named: Vec<String> = named
-        .map(|doubt| format!("{} ({})", doubt.what, doubt.cure))
+        .map(|one| format!("{} ({})", one.what, one.cure))
         .collect();
     format!(
         "How far to trust this map: least certain {} {}.",
@@ -104,18 +106,19 @@ fn sentence(doubts: &[Doubt]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{Doubt, sentence};
+    use super::{Uncertainty, sentence};
 
     #[test]
     fn the_three_least_certain_things_are_named() {
         assert!(sentence(&[]).contains("are known"));
-        let doubts = ["focal length", "up", "scale", "drift"].map(|what| Doubt { what, cure: "x" });
-        let said = sentence(&doubts);
+        let uncertainties =
+            ["focal length", "up", "scale", "drift"].map(|what| Uncertainty { what, cure: "x" });
+        let said = sentence(&uncertainties);
         assert!(
             said.contains("focal length (x); up (x); scale (x)."),
             "{said}"
         );
         assert!(!said.contains("drift"));
-        assert!(sentence(&doubts[..1]).contains("least certain is focal length"));
+        assert!(sentence(&uncertainties[..1]).contains("least certain is focal length"));
     }
 }

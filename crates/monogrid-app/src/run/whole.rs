@@ -122,7 +122,7 @@ fn run_watched(
     };
     let pictures = maps.as_ref().map(write).transpose()?;
     let mut extras = extras(&tracked, maps.as_ref())?;
-    (extras.warnings).extend(tracked.doubts.iter().cloned().chain(not_compared));
+    (extras.warnings).extend(tracked.warnings.iter().cloned().chain(not_compared));
     let mut summary = summary(input, settings, &tracked, &looked, maps.as_ref(), extras);
     summary.map.band = pictures.as_ref().and_then(|drawn| drawn.band);
     let verdict = verdict(&summary, &tracked);

@@ -13,7 +13,7 @@ use clap::Args;
 use monogrid_app::args::{JsonArg, positive};
 use monogrid_app::output::OutputFolder;
 use monogrid_app::process::failure::{CommandResult, Failure, Outcome as Ended};
-use monogrid_app::process::tally::Tally;
+use monogrid_app::process::progress::Progress;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::IsTerminal;
@@ -178,15 +178,15 @@ fn carry_out(tasks: &[Task], job: &Job, limits: Limits) -> Vec<Option<Outcome>> 
         let done = tasks.len() - missing.len();
         eprintln!("{done} of {} recordings are done already", tasks.len());
     }
-    let tally = Tally::new(missing.len(), "recordings", std::io::stderr().is_terminal());
+    let progress = Progress::new(missing.len(), "recordings", std::io::stderr().is_terminal());
     let left = schedule::run(&missing, limits, &|index, attempt, peak| {
         let outcome = job.carry_out(&tasks[index], attempt, peak);
-        tally.done(&format!("{}: {}", tasks[index].name, line(&outcome)));
+        progress.done(&format!("{}: {}", tasks[index].name, line(&outcome)));
         let carried = carried(&outcome);
         keep(index, outcome);
         carried
     });
-    tally.finish();
+    progress.finish();
     if left > 0 {
         eprintln!("{left} recordings were not begun");
     }

@@ -2,7 +2,7 @@
 
 use clap::Args;
 use monogrid_app::args::{JsonArg, SourceArgs};
-use monogrid_app::camera::doubts::doubts;
+use monogrid_app::camera::calibration_check::against_images;
 use monogrid_app::input::image_files::spend;
 use monogrid_app::input::readings::{ImuFacts, Inertial};
 use monogrid_app::input::seen::{self, Motion, no_map};
@@ -229,7 +229,7 @@ impl CheckReport {
         warnings.extend(no_map(motion).map(str::to_owned));
         warnings.extend(sequence.findings());
         if input.own_calibration.is_none() {
-            warnings.extend(doubts(input));
+            warnings.extend(against_images(input));
         }
         report.add_slow_or_narrow();
         report

@@ -5,7 +5,7 @@ use super::limits::{Ended, limited, wait};
 use super::mutations::{mutated, wanted};
 use super::seeds::Seeds;
 use crate::common::{get, hostile_clients, interrupt};
-use crate::{MAX_SECONDS, Tally, from_environment};
+use crate::{MAX_SECONDS, Outcomes, from_environment};
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
 use std::io::{BufRead, BufReader, Read, Write};
@@ -83,7 +83,7 @@ fn clients_of_a_map_that_is_viewed() {
     let map = seeds.path("run/global.ot").display().to_string();
     let (mut child, url) = started(&["view", &map]);
     let mut held = std::collections::VecDeque::new();
-    let (mut tally, first) = (Tally::default(), from_environment("TORTURE_SEED", 1));
+    let (mut outcomes, first) = (Outcomes::default(), from_environment("TORTURE_SEED", 1));
     let begin = Instant::now();
     let mut runs = 0;
     while wanted(runs, begin) {
@@ -105,7 +105,7 @@ fn clients_of_a_map_that_is_viewed() {
             said: String::new(),
             took: asked.elapsed(),
         };
-        tally.count(&format!("client {runs}"), &ended, &harms);
+        outcomes.count(&format!("client {runs}"), &ended, &harms);
         if !harms.is_empty() {
             break;
         }
@@ -113,7 +113,7 @@ fn clients_of_a_map_that_is_viewed() {
     interrupt(&child);
     let code = wait(&mut child, Duration::from_secs(5));
     assert_eq!(code, Some(0), "it does not end");
-    tally.conclude("clients of view");
+    outcomes.conclude("clients of view");
 }
 
 #[test]
@@ -122,7 +122,7 @@ fn clients_of_a_run() {
     let seeds = Seeds::new();
     let video = seeds.path("video").display().to_string();
     let out = seeds.path("seen").display().to_string();
-    let (mut tally, first) = (Tally::default(), from_environment("TORTURE_SEED", 1));
+    let (mut outcomes, first) = (Outcomes::default(), from_environment("TORTURE_SEED", 1));
     let args = [
         "run",
         &video,
@@ -150,7 +150,7 @@ fn clients_of_a_run() {
         };
         let failed = ended.code != Some(0) || !seeds.path("seen/global.ot").is_file();
         let harms = failed.then(|| format!("it ended with {:?}", ended.code));
-        tally.count(&format!("run {number}"), &ended, harms.as_slice());
+        outcomes.count(&format!("run {number}"), &ended, harms.as_slice());
     }
-    tally.conclude("clients of a run");
+    outcomes.conclude("clients of a run");
 }

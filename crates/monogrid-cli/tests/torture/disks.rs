@@ -2,7 +2,7 @@
 
 use super::limits::{Ended, limited, run};
 use super::seeds::Seeds;
-use crate::Tally;
+use crate::Outcomes;
 use std::path::Path;
 use std::process::Command;
 
@@ -34,7 +34,7 @@ fn files_that_may_not_grow() {
     let video = seeds.path("video").display().to_string();
     let map = seeds.path("run/global.ot").display().to_string();
     let recording = seeds.path("run/recording.mgk").display().to_string();
-    let mut tally = Tally::default();
+    let mut outcomes = Outcomes::default();
     // no file may have more than so many blocks of 512 bytes: every write fails at some size
     for blocks in [0, 1, 8, 64, 512, 4096] {
         let before = format!("trap '' XFSZ; ulimit -f {blocks};");
@@ -48,10 +48,10 @@ fn files_that_may_not_grow() {
         ] {
             let ended = through_pipe(limited(&before, args.iter()));
             let what = format!("{blocks} blocks, {}", args[0]);
-            tally.count(&what, &ended, &harms(&ended, &[0, 1, 2], &file));
+            outcomes.count(&what, &ended, &harms(&ended, &[0, 1, 2], &file));
         }
     }
-    tally.conclude("full disk (limit of file sizes)");
+    outcomes.conclude("full disk (limit of file sizes)");
 }
 
 #[test]
@@ -62,7 +62,7 @@ fn small_and_read_only_disks() {
     let map = seeds.path("run/global.ot").display().to_string();
     let disk = seeds.path("disk");
     std::fs::create_dir(&disk).unwrap();
-    let mut tally = Tally::default();
+    let mut outcomes = Outcomes::default();
     for kilobytes in [16, 200, 1000] {
         let size = format!("size={kilobytes}k");
         if !mount(&["-t", "tmpfs", "-o", &size, "tmpfs"], &disk) {
@@ -72,7 +72,7 @@ fn small_and_read_only_disks() {
         let out = disk.join("out").display().to_string();
         let ended = run(limited("", ["run", &video, "--out", &out]), seeds.root());
         let harm = harms(&ended, &[0, 1], &disk.join("out/global.ot"));
-        tally.count(&format!("disk of {kilobytes} kB"), &ended, &harm);
+        outcomes.count(&format!("disk of {kilobytes} kB"), &ended, &harm);
         if mount(&["-o", "remount,ro"], &disk) {
             let to = disk.join("m.bt").display().to_string();
             for args in [
@@ -80,7 +80,7 @@ fn small_and_read_only_disks() {
                 &["convert", &map, &to],
             ] {
                 let ended = run(limited("", args), seeds.root());
-                tally.count(
+                outcomes.count(
                     "read-only disk",
                     &ended,
                     &harms(&ended, &[1, 2], Path::new("")),
@@ -95,7 +95,7 @@ fn small_and_read_only_disks() {
                 .success()
         );
     }
-    tally.conclude("small and read-only disks");
+    outcomes.conclude("small and read-only disks");
 }
 
 fn mount(options: &[&str], at: &Path) -> bool {
@@ -111,7 +111,7 @@ fn standard_output_that_is_full_or_closed() {
     let map = seeds.path("run/global.ot").display().to_string();
     let trajectory = seeds.path("run/trajectory.txt").display().to_string();
     let truth = format!("{video}/groundtruth.txt");
-    let mut tally = Tally::default();
+    let mut outcomes = Outcomes::default();
     for args in [
         &["info", &map, "--json"][..],
         &["evaluate", "trajectory", &trajectory, &truth, "--json"],
@@ -124,10 +124,10 @@ fn standard_output_that_is_full_or_closed() {
         ] {
             let ended = run(redirected(how, args), seeds.root());
             let what = format!("{} {how}", args[0]);
-            tally.count(&what, &ended, &harms(&ended, codes, Path::new("")));
+            outcomes.count(&what, &ended, &harms(&ended, codes, Path::new("")));
         }
     }
-    tally.conclude("standard output full or closed");
+    outcomes.conclude("standard output full or closed");
 }
 
 /// The program with its output redirected by the shell.

@@ -2,7 +2,7 @@
 
 use super::limits::{limited, run};
 use super::seeds::Seeds;
-use crate::Tally;
+use crate::Outcomes;
 use std::ffi::OsString;
 use std::fs;
 use std::os::unix::ffi::OsStringExt;
@@ -40,20 +40,26 @@ fn names() -> Vec<OsString> {
 }
 
 /// Runs the program and counts whether it ended as expected.
-fn attempt(tally: &mut Tally, seeds: &Seeds, what: &str, args: &[OsString], expected: &[i32]) {
+fn attempt(
+    outcomes: &mut Outcomes,
+    seeds: &Seeds,
+    what: &str,
+    args: &[OsString],
+    expected: &[i32],
+) {
     let ended = run(limited("", args), seeds.root());
     let mut harms: Vec<String> = ended.harm().into_iter().collect();
     if !ended.code.is_some_and(|code| expected.contains(&code)) {
         harms.push(format!("exit code {:?}, expected {expected:?}", ended.code));
     }
-    tally.count(&format!("{what} ({:?})", args[0]), &ended, &harms);
+    outcomes.count(&format!("{what} ({:?})", args[0]), &ended, &harms);
 }
 
 #[test]
 #[ignore = "takes minutes; see scripts/torture.sh"]
 fn odd_names() {
     let seeds = Seeds::new();
-    let mut tally = Tally::default();
+    let mut outcomes = Outcomes::default();
     fs::create_dir_all(seeds.path("outs")).unwrap();
     for name in names() {
         // as a source, as a result, as a map
@@ -62,9 +68,9 @@ fn odd_names() {
         copy_folder(&seeds.path("video"), &source);
         let out = seeds.path("outs").join(&name);
         let run = args(&["run", "--max-frames", "12", "--out"], &[&out, &source]);
-        attempt(&mut tally, &seeds, &what, &run, &[0, 3]);
+        attempt(&mut outcomes, &seeds, &what, &run, &[0, 3]);
         attempt(
-            &mut tally,
+            &mut outcomes,
             &seeds,
             &what,
             &args(&["check"], &[&source]),
@@ -76,17 +82,17 @@ fn odd_names() {
             &["convert"],
             &[&seeds.path("run/global.ot"), Path::new(&map)],
         );
-        attempt(&mut tally, &seeds, &what, &convert, &[0]);
+        attempt(&mut outcomes, &seeds, &what, &convert, &[0]);
         fs::remove_dir_all(&source).unwrap();
     }
-    tally.conclude("odd names");
+    outcomes.conclude("odd names");
 }
 
 #[test]
 #[ignore = "takes minutes; see scripts/torture.sh"]
 fn files_that_are_none() {
     let seeds = Seeds::new();
-    let mut tally = Tally::default();
+    let mut outcomes = Outcomes::default();
     let calibration = seeds.path("video/calibration.txt");
     let (video, out) = (seeds.path("video"), seeds.path("odd"));
     let few = fs::read_to_string(seeds.path("video/few.txt")).unwrap();
@@ -110,17 +116,17 @@ fn files_that_are_none() {
         }
         for (args, expected) in all {
             let _ = fs::remove_dir_all(&out);
-            attempt(&mut tally, &seeds, what, &args, expected);
+            attempt(&mut outcomes, &seeds, what, &args, expected);
         }
     }
-    tally.conclude("pipes, devices, links that lead astray");
+    outcomes.conclude("pipes, devices, links that lead astray");
 }
 
 #[test]
 #[ignore = "takes minutes; see scripts/torture.sh"]
 fn lists_of_missing_images() {
     let seeds = Seeds::new();
-    let mut tally = Tally::default();
+    let mut outcomes = Outcomes::default();
     let calibration = seeds.path("video/calibration.txt");
     let (list, out) = (seeds.path("video/missing.txt"), seeds.path("missing"));
     let mut text = fs::read_to_string(seeds.path("video/few.txt")).unwrap();
@@ -130,10 +136,16 @@ fn lists_of_missing_images() {
         &["run", "--calibration"],
         &[&calibration, &list, Path::new("--out"), &out],
     );
-    attempt(&mut tally, &seeds, "100,000 missing images", &run, &[1]);
+    attempt(&mut outcomes, &seeds, "100,000 missing images", &run, &[1]);
     let check = args(&["check", "--calibration"], &[&calibration, &list]);
-    attempt(&mut tally, &seeds, "100,000 missing images", &check, &[0]);
-    tally.conclude("lists of 100,000 missing images");
+    attempt(
+        &mut outcomes,
+        &seeds,
+        "100,000 missing images",
+        &check,
+        &[0],
+    );
+    outcomes.conclude("lists of 100,000 missing images");
 }
 
 /// Options and then paths.

@@ -2,10 +2,10 @@
 
 use super::limits::{limited, run};
 use super::seeds::Seeds;
-use crate::Tally;
+use crate::Outcomes;
 
 /// Runs the program; it must end within its limits, and say why where it refuses.
-fn attempt(tally: &mut Tally, seeds: &Seeds, args: &[&str]) {
+fn attempt(outcomes: &mut Outcomes, seeds: &Seeds, args: &[&str]) {
     let _ = std::fs::remove_dir_all(seeds.path("x"));
     let _ = std::fs::remove_file(seeds.path("x.ot"));
     let ended = run(limited("", args), seeds.root());
@@ -13,14 +13,14 @@ fn attempt(tally: &mut Tally, seeds: &Seeds, args: &[&str]) {
     if ended.code != Some(0) && ended.said.trim().is_empty() {
         harms.push("nothing was said".to_owned());
     }
-    tally.count(&format!("{args:?}"), &ended, &harms);
+    outcomes.count(&format!("{args:?}"), &ended, &harms);
 }
 
 #[test]
 #[ignore = "takes minutes; see scripts/torture.sh"]
 fn cells_of_any_size() {
     let seeds = Seeds::new();
-    let mut tally = Tally::default();
+    let mut outcomes = Outcomes::default();
     let recording = seeds.path("run/recording.mgk").display().to_string();
     let scans = seeds.path("scans.scans").display().to_string();
     let mesh = seeds.path("mesh.obj").display().to_string();
@@ -31,7 +31,7 @@ fn cells_of_any_size() {
     ] {
         for rule in ["fused", "rays"] {
             attempt(
-                &mut tally,
+                &mut outcomes,
                 &seeds,
                 &[
                     "map",
@@ -45,7 +45,7 @@ fn cells_of_any_size() {
                 ],
             );
             attempt(
-                &mut tally,
+                &mut outcomes,
                 &seeds,
                 &[
                     "map",
@@ -60,7 +60,7 @@ fn cells_of_any_size() {
             );
         }
         attempt(
-            &mut tally,
+            &mut outcomes,
             &seeds,
             &[
                 "truth",
@@ -74,14 +74,14 @@ fn cells_of_any_size() {
             ],
         );
     }
-    tally.conclude("cells of 1e-300 to 1e300");
+    outcomes.conclude("cells of 1e-300 to 1e300");
 }
 
 #[test]
 #[ignore = "takes minutes; see scripts/torture.sh"]
 fn extreme_settings_of_maps() {
     let seeds = Seeds::new();
-    let mut tally = Tally::default();
+    let mut outcomes = Outcomes::default();
     let recording = seeds.path("run/recording.mgk").display().to_string();
     let to = seeds.path("x.ot").display().to_string();
     for option in [
@@ -102,19 +102,19 @@ fn extreme_settings_of_maps() {
         &["--threads", "64"],
     ] {
         attempt(
-            &mut tally,
+            &mut outcomes,
             &seeds,
             &[&["map", &recording, "--out", &to], option].concat(),
         );
     }
-    tally.conclude("extreme settings of maps");
+    outcomes.conclude("extreme settings of maps");
 }
 
 #[test]
 #[ignore = "takes minutes; see scripts/torture.sh"]
 fn extreme_settings_of_runs() {
     let seeds = Seeds::new();
-    let mut tally = Tally::default();
+    let mut outcomes = Outcomes::default();
     let video = seeds.path("video").display().to_string();
     let out = seeds.path("x").display().to_string();
     for option in [
@@ -131,7 +131,7 @@ fn extreme_settings_of_runs() {
         &["--start", "18446744073709551615"],
     ] {
         attempt(
-            &mut tally,
+            &mut outcomes,
             &seeds,
             &[
                 &["run", &video, "--max-frames", "60", "--out", &out],
@@ -140,14 +140,14 @@ fn extreme_settings_of_runs() {
             .concat(),
         );
     }
-    tally.conclude("extreme settings of runs");
+    outcomes.conclude("extreme settings of runs");
 }
 
 #[test]
 #[ignore = "takes minutes; see scripts/torture.sh"]
 fn extreme_options_of_tools() {
     let seeds = Seeds::new();
-    let mut tally = Tally::default();
+    let mut outcomes = Outcomes::default();
     let map = seeds.path("run/global.ot").display().to_string();
     let to = seeds.path("x.ot").display().to_string();
     let out = seeds.path("x").display().to_string();
@@ -190,7 +190,7 @@ fn extreme_options_of_tools() {
             "1e300",
         ],
     ] {
-        attempt(&mut tally, &seeds, args);
+        attempt(&mut outcomes, &seeds, args);
     }
-    tally.conclude("extreme options of tools");
+    outcomes.conclude("extreme options of tools");
 }

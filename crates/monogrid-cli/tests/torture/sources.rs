@@ -4,7 +4,7 @@ use super::limits::{Ended, limited, wait};
 use super::mutations::{mutated, wanted};
 use super::seeds::Seeds;
 use crate::common::interrupt;
-use crate::{Tally, from_environment};
+use crate::{Outcomes, from_environment};
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
 use std::fs;
@@ -73,16 +73,16 @@ fn mjpeg() -> Vec<u8> {
 }
 
 /// Counts a run of a source; those that do not end are harm.
-fn count(tally: &mut Tally, what: &str, ended: &Ended) {
+fn count(outcomes: &mut Outcomes, what: &str, ended: &Ended) {
     let harms: Vec<String> = ended.harm().into_iter().collect();
-    tally.count(what, ended, &harms);
+    outcomes.count(what, ended, &harms);
 }
 
 #[test]
 #[ignore = "takes minutes; see scripts/torture.sh"]
 fn servers_of_images() {
     let seeds = Seeds::new();
-    let (mut tally, first) = (Tally::default(), from_environment("TORTURE_SEED", 1));
+    let (mut outcomes, first) = (Outcomes::default(), from_environment("TORTURE_SEED", 1));
     let seed = mjpeg();
     let (begin, mut runs) = (Instant::now(), 0);
     while wanted(runs, begin) {
@@ -103,10 +103,10 @@ fn servers_of_images() {
             }
         });
         let ended = run_of(&seeds, &source, |_| {});
-        count(&mut tally, &format!("answer {runs}"), &ended);
+        count(&mut outcomes, &format!("answer {runs}"), &ended);
         runs += 1;
     }
-    tally.conclude("servers of images");
+    outcomes.conclude("servers of images");
 }
 
 /// Answers, then ends, says nothing more, or goes on byte by byte.
@@ -127,7 +127,7 @@ fn serve(mut stream: TcpStream, answer: &[u8], then: u32) {
 #[ignore = "takes minutes; see scripts/torture.sh"]
 fn pipes_that_stall_and_are_interrupted() {
     let seeds = Seeds::new();
-    let (mut tally, first) = (Tally::default(), from_environment("TORTURE_SEED", 1));
+    let (mut outcomes, first) = (Outcomes::default(), from_environment("TORTURE_SEED", 1));
     let seed = fs::read(seeds.path("gray.y4m")).unwrap();
     let (begin, mut runs) = (Instant::now(), 0);
     while wanted(runs, begin) {
@@ -148,17 +148,17 @@ fn pipes_that_stall_and_are_interrupted() {
         // before the program listens, it ends by the signal itself
         let is_early = ended.code.is_none() && ended.took < SOON;
         let harm = ended.harm().filter(|_| !is_early);
-        tally.count(&format!("pipe {runs}"), &ended, harm.as_slice());
+        outcomes.count(&format!("pipe {runs}"), &ended, harm.as_slice());
         runs += 1;
     }
-    tally.conclude("pipes that stall");
+    outcomes.conclude("pipes that stall");
 }
 
 #[test]
 #[ignore = "takes minutes; see scripts/torture.sh"]
 fn files_that_vanish_or_change() {
     let seeds = Seeds::new();
-    let (mut tally, first) = (Tally::default(), from_environment("TORTURE_SEED", 1));
+    let (mut outcomes, first) = (Outcomes::default(), from_environment("TORTURE_SEED", 1));
     let files = [
         "reordered.mp4",
         "mjpeg.avi",
@@ -184,8 +184,8 @@ fn files_that_vanish_or_change() {
                 _ => fs::write(&path, mutated(&bytes, &mut rng)).unwrap(),
             }
         });
-        count(&mut tally, &format!("{name}, {runs}"), &ended);
+        count(&mut outcomes, &format!("{name}, {runs}"), &ended);
         runs += 1;
     }
-    tally.conclude("files that vanish");
+    outcomes.conclude("files that vanish");
 }

@@ -3,7 +3,7 @@
 use super::IntegrationConfig;
 use super::parallel::for_each;
 use super::ray::{MAX_CELLS, RANGE_BITS, Ray, TIME_BITS, fixed};
-use super::settled::{BeamTiles, Settled};
+use super::saturated::{BeamTiles, Saturated};
 use crate::error::MapError;
 use crate::key::BRICK_LIMIT;
 use crate::map::OccupancyMap;
@@ -55,7 +55,7 @@ pub(crate) struct Measured {
 pub(crate) struct Beam {
     pub ray: Ray,
     /// Time up to which no cell can change any more.
-    pub settled_until: i64,
+    pub saturated_until: i64,
     pub table: u16,
     /// Range in fixed point at which the first entry of the table begins.
     table_start: i64,
@@ -131,7 +131,7 @@ impl Beams {
         let per_range = self.resolution * 2_f64.powi(64 - RANGE_BITS as i32);
         Beam {
             ray: Ray::new(self.origin, measured.direction, measured.length),
-            settled_until: 0,
+            saturated_until: 0,
             table: measured.table,
             table_start: fixed(measured.table_start, RANGE_BITS),
             entries_per_range: (table.inv_step * per_range) as u64,
@@ -140,7 +140,7 @@ impl Beams {
     }
 }
 
-/// Shares of a scan. After the first, settled space is looked for again: it has settled most of it.
+/// Shares of a scan. After the first, saturated space is looked for again: it has saturated most of it.
 const SHARES: usize = 8;
 /// Tiles of directions along an edge of the square onto which they are mapped.
 const DIRECTION_TILES: usize = 64;
@@ -245,26 +245,26 @@ impl Beam {
 /// Where beams can begin, as found when a part of the scan was in the map.
 pub(crate) struct Beginnings<'a> {
     pub tiles: &'a BeamTiles,
-    pub settled: Settled,
+    pub saturated: Saturated,
 }
 
 impl<'a> Beginnings<'a> {
     /// Looks at a map into which measurements are still to be integrated.
     pub(crate) fn find(map: &OccupancyMap, tiles: &'a BeamTiles, threads: usize) -> Self {
-        let mut parts = Settled::parts(map, tiles, threads);
+        let mut parts = Saturated::parts(map, tiles, threads);
         for_each(&mut parts, threads, |_, part| part.run());
         Self {
             tiles,
-            settled: Settled::join(&parts),
+            saturated: Saturated::join(&parts),
         }
     }
 
     /// Lets a beam begin where the first cell lies that it could change.
     #[inline]
     pub(crate) fn settle(&self, beam: &mut Beam, measured: &Measured) {
-        let cells = self.settled.until(self.tiles.tile_of(measured.slopes));
+        let cells = self.saturated.until(self.tiles.tile_of(measured.slopes));
         let until = fixed(cells.min(MAX_CELLS), TIME_BITS).min(beam.free_until);
-        beam.settled_until = until.min(beam.ray.end);
+        beam.saturated_until = until.min(beam.ray.end);
     }
 }
 

@@ -2,12 +2,12 @@
 //!
 //! Flow: measurements -> rays in cell units (`beam`) -> in batches (`batches`), the rays' updates are
 //! handed to the shards of their bricks, and each shard takes them ray by ray in the order in which
-//! `beam` has them (`visits`). Rays begin where the first cell lies that they could change (`settled`).
+//! `beam` has them (`visits`). Rays begin where the first cell lies that they could change (`saturated`).
 
 use super::batches::Walk;
 use super::beam::{Beams, Beginnings};
 use super::parallel::for_each;
-use super::settled::BeamTiles;
+use super::saturated::BeamTiles;
 use super::{IntegrationConfig, IntegrationReport};
 use crate::error::MapError;
 use crate::key::{BRICK_EDGE, BrickKey};
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn leaving_out_settled_space_changes_nothing() {
+    fn leaving_out_saturated_space_changes_nothing() {
         let mut random = Random(1);
         let mut unit = move || random.unit();
         // The first sensor of the second case is where eight cells meet.
@@ -298,7 +298,7 @@ mod tests {
                 let beams = Beams::new(&map, &scan, &config).unwrap();
                 let tiles = BeamTiles::new(&scan, &beams).unwrap();
                 let found = Beginnings::find(&map, &tiles, threads);
-                let is_short = |b: &&Measured| found.settled.until(tiles.tile_of(b.slopes)) > 8.0;
+                let is_short = |b: &&Measured| found.saturated.until(tiles.tile_of(b.slopes)) > 8.0;
                 let short = beams.measured.iter().filter(is_short).count();
                 assert!(id < 3 || short > 1000, "{short} beams begin later");
             }

@@ -129,7 +129,7 @@ impl Visitor<'_> {
     /// for the third word.
     fn visit(&mut self, free_word: u32) -> bool {
         let beam = self.beam;
-        let mut from = beam.settled_until;
+        let mut from = beam.saturated_until;
         let mut is_needed = false;
         if beam.free_until - from > SHORT {
             let mut is_done = true;
@@ -279,7 +279,7 @@ fn add_along(
     rule: UpdateRule,
     evidence: i16,
 ) {
-    let entry = beam.ray.enter_from(brick, beam.settled_until);
+    let entry = beam.ray.enter_from(brick, beam.saturated_until);
     beam.ray.walk(entry, |index, _| {
         cells[index] = rule.updated(cells[index], evidence);
     });

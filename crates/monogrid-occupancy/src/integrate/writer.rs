@@ -18,7 +18,7 @@ pub(crate) struct Writer<'a> {
 
 impl Writer<'_> {
     pub(crate) fn update_brick(&self, shard: &mut Shard, key: u64, update: Update) {
-        if update != Update::Any && self.is_settled(shard, key) {
+        if update != Update::Any && self.is_saturated(shard, key) {
             return;
         }
         let origin = self.footprints.images.origin;
@@ -46,7 +46,7 @@ impl Writer<'_> {
     }
 
     /// Whether all cells of a brick hold the lowest value, so that nothing free changes them.
-    fn is_settled(&self, shard: &Shard, key: u64) -> bool {
+    fn is_saturated(&self, shard: &Shard, key: u64) -> bool {
         shard
             .find(key, hash(key))
             .is_some_and(|slot| shard.contents(slot) == BrickRef::Uniform(self.rule.limits.min))

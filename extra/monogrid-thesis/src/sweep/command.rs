@@ -16,7 +16,7 @@ use monogrid_app::input::Input;
 use monogrid_app::input::depth_images::dataset_seed_depth;
 use monogrid_app::output::{Inputs, OutputFolder};
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
-use monogrid_app::process::tally::Tally;
+use monogrid_app::process::progress::Progress;
 use monogrid_app::process::usage::peak_rss_bytes;
 use monogrid_app::process::{use_threads, warn};
 use monogrid_app::run::align::{Align, Up};
@@ -99,7 +99,7 @@ pub fn execute(args: &SweepArgs) -> CommandResult {
         memory_bytes: (args.memory * 1e9) as usize,
     };
     let num_maps = recordings.len() * resolutions.len() * plan::models().len();
-    let progress = Tally::new(num_maps, "maps", std::io::stderr().is_terminal());
+    let progress = Progress::new(num_maps, "maps", std::io::stderr().is_terminal());
     let sweep = Sweep {
         args,
         out: &out,
@@ -141,7 +141,7 @@ struct Sweep<'a> {
     finest_truth: Option<&'a TruthGrid>,
     orders: &'a PictureOrders,
     resources: Resources,
-    progress: &'a Tally,
+    progress: &'a Progress,
 }
 
 impl Sweep<'_> {

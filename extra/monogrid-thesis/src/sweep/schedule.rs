@@ -4,7 +4,7 @@ use super::build::{Job, build};
 use super::plan::Entry;
 use super::record::{MapRecord, MapResult};
 use monogrid_app::process::failure::Failure;
-use monogrid_app::process::tally::Tally;
+use monogrid_app::process::progress::Progress;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
@@ -26,7 +26,7 @@ pub fn run(
     entries: &[Entry],
     fingerprint: impl Fn(&Entry) -> String + Sync,
     resources: Resources,
-    progress: &Tally,
+    progress: &Progress,
 ) -> Result<Vec<MapRecord>, Failure> {
     let name = |entry: &Entry| format!("{}/{}.json", job.name, entry.name());
     let file = |entry: &Entry| job.out.path().join(name(entry));

@@ -83,10 +83,10 @@ pub(super) fn k_majority(
                 }
             })
             .collect();
-        let is_settled = moved == words;
+        let has_converged = moved == words;
         words = moved;
         done(iteration + 1);
-        if is_settled {
+        if has_converged {
             break;
         }
     }

@@ -17,11 +17,11 @@ pub fn bar(count: usize, template: &str, hz: Option<u8>) -> ProgressBar {
 
 /// Counts what is done, on standard error.
 #[derive(Debug)]
-pub struct Tally {
+pub struct Progress {
     bar: ProgressBar,
 }
 
-impl Tally {
+impl Progress {
     /// Over so many things; the bar is only drawn on a terminal.
     pub fn new(count: usize, of: &str, is_shown: bool) -> Self {
         let template = format!("{{bar:30}} {{pos}}/{{len}} {of} · {{elapsed}} gone, {{eta}} to go");

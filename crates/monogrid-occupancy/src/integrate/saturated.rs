@@ -1,9 +1,9 @@
-//! Settled space: where the rays of a scan cannot change anything any more.
+//! Saturated space: where the rays of a scan cannot change anything any more.
 //!
 //! Most visits of the rule `rays` meet cells that hold the lowest value already and take it down
-//! once more. A cube is settled if all its cells hold the lowest value and every beam that could
+//! once more. A cube is saturated if all its cells hold the lowest value and every beam that could
 //! cross it is there still far enough before its obstacle to take them down. The search splits cubes around the sensor and
-//! notes, per tile of directions, the range of the nearest cube that is not settled: rays begin
+//! notes, per tile of directions, the range of the nearest cube that is not saturated: rays begin
 //! there. It only leaves out updates that change nothing, so the map is that of every ray walked
 //! from the sensor.
 
@@ -276,11 +276,11 @@ const NO_BEAM: Bounds = Bounds {
 };
 
 /// Per tile, the range in cells before which nothing can change.
-pub(crate) struct Settled {
+pub(crate) struct Saturated {
     until: Vec<f32>,
 }
 
-impl Settled {
+impl Saturated {
     /// The parts of a search through all space that the beams cross freely, to be done in any order
     /// and joined.
     pub(crate) fn parts<'a>(

@@ -13,13 +13,13 @@ const MAX_FRAMES: usize = 300;
 
 /// Focal lengths that differ by less than this share are not worth a word, however certain they are:
 /// the estimate itself is off by up to 6 % on a lens with strong distortion.
-const MIN_FOCAL_DOUBT: f64 = 0.08;
+const MIN_FOCAL_DIFFERENCE: f64 = 0.08;
 
 /// The same for the principal point, as a share of the longer side of the image.
-const MIN_CENTRE_DOUBT: f64 = 0.05;
+const MIN_CENTRE_DIFFERENCE: f64 = 0.05;
 
 /// Standard deviations beyond which a calibration is doubted.
-const DOUBT_SIGMAS: f64 = 3.0;
+const MIN_DIFFERENCE_SIGMAS: f64 = 3.0;
 
 /// How much more freedom the principal point gets when that of a calibration is far from the middle.
 const CENTRE_FREEDOM: f64 = 7.5;
@@ -56,7 +56,7 @@ pub struct CalibrationCheck<'a> {
     may_wait: bool,
     /// Keyframes at which the map is asked next.
     next_at: usize,
-    doubts: Vec<String>,
+    warnings: Vec<String>,
 }
 
 impl<'a> CalibrationCheck<'a> {
@@ -68,7 +68,7 @@ impl<'a> CalibrationCheck<'a> {
             input: (is_given && is_comparable(input.camera())).then_some(input),
             may_wait,
             next_at: EARLY_KEYFRAMES,
-            doubts: Vec::new(),
+            warnings: Vec::new(),
         }
     }
 
@@ -78,13 +78,13 @@ impl<'a> CalibrationCheck<'a> {
         (slam, taken_out): (&Slam, &TakenOut),
         num_keyframes: usize,
     ) -> &[String] {
-        let is_due = self.may_wait && self.doubts.is_empty() && num_keyframes >= self.next_at;
+        let is_due = self.may_wait && self.warnings.is_empty() && num_keyframes >= self.next_at;
         let Some(input) = self.input.filter(|_| is_due) else {
             return &[];
         };
         self.next_at = 2 * num_keyframes;
-        self.doubts = against(input, &by_map(slam, taken_out));
-        &self.doubts
+        self.warnings = against(input, &by_map(slam, taken_out));
+        &self.warnings
     }
 
     /// The radial distortion that the calibration has left, as the map shows it.
@@ -96,14 +96,14 @@ impl<'a> CalibrationCheck<'a> {
     /// After the run, of whose frames this share has a pose: all that is known against the calibration.
     pub fn end(&self, (slam, taken_out): (&Slam, &TakenOut), share_with_pose: f64) -> Vec<String> {
         match self.input {
-            Some(input) if self.doubts.is_empty() => {
+            Some(input) if self.warnings.is_empty() => {
                 let shown = by_map(slam, taken_out);
                 if says_too_little(&shown, share_with_pose) && input.is_repeatable() {
-                    return doubts(input);
+                    return against_images(input);
                 }
                 against(input, &shown)
             }
-            _ => self.doubts.clone(),
+            _ => self.warnings.clone(),
         }
     }
 }
@@ -129,7 +129,7 @@ fn against(input: &Input, shown: &Estimate) -> Vec<String> {
     }
     let ratio = shown.intrinsics.focal / given;
     if input.is_repeatable() {
-        return doubts(input);
+        return against_images(input);
     }
     vec![format!(
         "the calibration does not fit what was seen: with another focal length (about {ratio:.2} times the given one) and \
@@ -164,7 +164,7 @@ fn is_comparable(given: &Camera) -> bool {
 }
 
 /// What the images say against a calibration that was given, in sentences with the better value.
-pub fn doubts(input: &Input) -> Vec<String> {
+pub fn against_images(input: &Input) -> Vec<String> {
     let (given, direction) = input.lens();
     let size = (given.width, given.height);
     let Some((focal, centre)) = middle(given).filter(|_| is_comparable(given)) else {
@@ -175,36 +175,37 @@ pub fn doubts(input: &Input) -> Vec<String> {
     if windows.is_empty() {
         return Vec::new();
     }
-    let mut doubts = Vec::new();
+    let mut warnings = Vec::new();
     let shown = estimate(&windows, size, &Expected::ORDINARY, 1.0);
     if is_focal_doubted(focal, &shown) {
         let (low, high) = shown.focal_interval_px();
-        doubts.push(format!(
+        warnings.push(format!(
             "the calibration does not fit the images: its focal length is {focal:.1} px, the points say \
              {:.1} px (95 %: {low:.1} to {high:.1}); calibrate anew, or leave it out to have the camera \
              estimated",
             shown.intrinsics.focal
         ));
     }
-    let limit_px = MIN_CENTRE_DOUBT * size.0.max(size.1) as f64;
+    let limit_px = MIN_CENTRE_DIFFERENCE * size.0.max(size.1) as f64;
     if (centre - shown.intrinsics.centre).norm() > limit_px {
         let free = estimate(&windows, size, &Expected::ORDINARY, CENTRE_FREEDOM);
         if is_centre_doubted(&centre, &free, limit_px) {
             let better = free.intrinsics.centre;
-            doubts.push(format!(
+            warnings.push(format!(
                 "the calibration does not fit the images: its principal point is ({:.1}, {:.1}) px, the \
                  points say ({:.1}, {:.1}) px; are cx and cy swapped?",
                 centre.x, centre.y, better.x, better.y
             ));
         }
     }
-    doubts
+    warnings
 }
 
 /// Whether an estimate contradicts a focal length.
 fn is_focal_doubted(focal: f64, shown: &Estimate) -> bool {
     let difference = (focal / shown.intrinsics.focal).ln().abs();
-    shown.is_determined() && difference > MIN_FOCAL_DOUBT.max(DOUBT_SIGMAS * shown.sigma[0])
+    shown.is_determined()
+        && difference > MIN_FOCAL_DIFFERENCE.max(MIN_DIFFERENCE_SIGMAS * shown.sigma[0])
 }
 
 /// Whether an estimate contradicts a principal point.
@@ -213,7 +214,7 @@ fn is_centre_doubted(centre: &Vec2, free: &Estimate, limit_px: f64) -> bool {
     let sigma = Vec2::new(free.sigma[3], free.sigma[4]);
     free.is_determined()
         && difference.norm() > limit_px
-        && difference.component_div(&sigma).norm() > DOUBT_SIGMAS
+        && difference.component_div(&sigma).norm() > MIN_DIFFERENCE_SIGMAS
 }
 
 /// Focal length in the middle of the image (whatever the model of distortion) and principal point, px.

@@ -56,24 +56,24 @@ pub fn finish() -> Result<(), String> {
 /// As that of the standard library, through [`printable`], and without a panic.
 #[macro_export]
 macro_rules! print {
-    ($($arg:tt)*) => { $crate::process::say::out(format_args!($($arg)*)) };
+    ($($arg:tt)*) => { $crate::process::console::out(format_args!($($arg)*)) };
 }
 /// As that of the standard library, through [`printable`], and without a panic.
 #[macro_export]
 macro_rules! println {
-    () => { $crate::process::say::out(format_args!("\n")) };
-    ($($arg:tt)*) => { $crate::process::say::out(format_args!("{}\n", format_args!($($arg)*))) };
+    () => { $crate::process::console::out(format_args!("\n")) };
+    ($($arg:tt)*) => { $crate::process::console::out(format_args!("{}\n", format_args!($($arg)*))) };
 }
 /// As that of the standard library, through [`printable`], and without a panic.
 #[macro_export]
 macro_rules! eprint {
-    ($($arg:tt)*) => { $crate::process::say::err(format_args!($($arg)*)) };
+    ($($arg:tt)*) => { $crate::process::console::err(format_args!($($arg)*)) };
 }
 /// As that of the standard library, through [`printable`], and without a panic.
 #[macro_export]
 macro_rules! eprintln {
-    () => { $crate::process::say::err(format_args!("\n")) };
-    ($($arg:tt)*) => { $crate::process::say::err(format_args!("{}\n", format_args!($($arg)*))) };
+    () => { $crate::process::console::err(format_args!("\n")) };
+    ($($arg:tt)*) => { $crate::process::console::err(format_args!("{}\n", format_args!($($arg)*))) };
 }
 
 #[cfg(test)]
