@@ -3,7 +3,7 @@
 #
 #   scripts/benchmarks.sh quick [PART...]      small settings of every part (or of these): does everything still work?
 #   scripts/benchmarks.sh [full] [PART...]     the settings of BENCHMARKS.md; all parts take some hours on two cores
-#   scripts/benchmarks.sh readme               the table of README.md, and its picture as docs/preview.png
+#   scripts/benchmarks.sh readme               the table of README.md as it is measured, and its picture as docs/preview.png
 #   scripts/benchmarks.sh help                 this text and the parts
 #
 # Finished parts and runs are found again in target/benchmarks/MODE-PROGRAM (RESULTS: another folder), so what was interrupted
@@ -355,20 +355,16 @@ readme_row() {
     awk -v d="$drift" 'BEGIN { exit !(d > 1.05) }' && result+=", scale drift $(digits 3 "$drift")"
     [ "$frames" = "$tracked" ] || result+=", $((200 * tracked / frames + 1 >> 1)) % of the frames"
   fi
-  echo "| $1, $2 | $(others "$1") | $result |"
+  echo "| $1, $(promised "$1" what) | $(others "$1") | $result |"
 }
 
 part_readme() {
   echo '| sequence | C++ LSD-SLAM | DSO | monogrid |'
   echo '|---|---|---|---|'
-  readme_row red-kitchen 'hand-held, 700 frames, 5.6 m'
-  readme_row fr1-desk 'hand-held, quick turns, 613 frames, 9.4 m'
-  readme_row tsukuba 'synthetic, 150 frames, 3.8 m'
-  readme_row icl-office 'synthetic, 54 frames, 0.6 m'
-  readme_row icl-office-kt3 'synthetic, plain walls, 1241 frames'
-  readme_row kitti-forward 'car, 51 frames, 60 m'
-  readme_row kitti-07 'car, a turn in a town, 160 frames'
-  readme_row euroc-static 'does not move'
+  local sequence
+  for sequence in red-kitchen fr1-desk tsukuba icl-office icl-office-kt3 kitti-forward kitti-07 euroc-static; do
+    readme_row "$sequence"
+  done
   demo_run
   local run=$results/demo.json
   echo "| demo, rendered, $(value "$run" frames) frames, $(digits 2 "$(value "$run" trajectory path_length)") m | – | –" \

@@ -20,16 +20,17 @@ value() {
 # A number with so many significant digits; a dash for what is not a number.
 digits() { awk -v n="$1" -v x="${2:-}" 'BEGIN { if (x ~ /^[-+.0-9e]+$/) { s = sprintf("%#." n "g", x); sub(/\.$/, "", s); printf "%s", s } else printf "–" }'; }
 
+# What accuracy.toml says of a sequence: `promised NAME KEY`; nothing where it does not.
+promised() {
+  awk -F'"' -v name="$1" -v key="$2" '/^name = / { here = $2 == name } here && index($0, key " = \"") == 1 { print $2 }' \
+    crates/monogrid-cli/tests/accuracy.toml
+}
+
 # Results of other programs on a sequence, two cells: C++ LSD-SLAM and DSO (their default parameters, the same calibration).
 others() {
-  case $1 in
-    red-kitchen) echo '0.34 m, drift 5.7 | 0.39 m, drift 4.5' ;;
-    tsukuba) echo '0.41 m | 0.26 m' ;;
-    icl-office) echo '0.020 m | –' ;;
-    kitti-forward) echo '– | does not start' ;;
-    euroc-static) echo 'no keyframe | no keyframe' ;;
-    *) echo '– | –' ;;
-  esac
+  local lsd_slam dso
+  lsd_slam=$(promised "$1" lsd_slam) dso=$(promised "$1" dso)
+  echo "${lsd_slam:-–} | ${dso:-–}"
 }
 
 # kept_run FOLDER ARGUMENT...: `monogrid ARGUMENT... --out FOLDER`, once: a run that ended is found again by FOLDER.exit, which

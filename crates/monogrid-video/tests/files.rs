@@ -128,14 +128,19 @@ fn mjpeg_in_avi() {
     }
 }
 
+/// A recording below the folder that MONOGRID_DATA names.
+fn recording(name: &str) -> PathBuf {
+    let folder = std::env::var_os("MONOGRID_DATA");
+    let folder = folder.expect("MONOGRID_DATA names the folder of recorded sequences");
+    let path = PathBuf::from(folder).join(name);
+    assert!(path.exists(), "{} is absent", path.display());
+    path
+}
+
 #[test]
-fn a_real_phone_video() {
-    let path =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/phone-desk/video.mp4");
-    if !path.exists() {
-        eprintln!("SKIPPED: {} is absent", path.display());
-        return;
-    }
+#[ignore = "needs the sequences below MONOGRID_DATA"]
+fn a_phone_video_of_real_data() {
+    let path = recording("phone-desk/video.mp4");
     let mut video = Video::open(&path).unwrap();
     assert_eq!((video.size(), video.length()), ((364, 674), Some(1400)));
     let mut sum = crc32fast::Hasher::new();

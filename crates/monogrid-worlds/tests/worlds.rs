@@ -11,10 +11,17 @@ use monogrid_worlds::{
     Renderer, SynthConfig, SynthSequence, WORLD_NAMES, World, WriteConfig, look_at,
     write_tum_layout,
 };
-use std::path::Path;
+use std::path::PathBuf;
 use std::sync::{Arc, LazyLock};
 
-const SHARED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared");
+/// A recording below the folder that MONOGRID_DATA names.
+fn data(name: &str) -> PathBuf {
+    let folder = std::env::var_os("MONOGRID_DATA");
+    let folder = folder.expect("MONOGRID_DATA names the folder of recorded sequences");
+    let path = PathBuf::from(folder).join(name);
+    assert!(path.exists(), "{} is absent", path.display());
+    path
+}
 
 static DEMO: LazyLock<SynthSequence> = LazyLock::new(|| SynthSequence::small_demo().unwrap());
 
@@ -366,14 +373,9 @@ fn add_power(row: &[f32], power: &mut [f64]) {
 }
 
 #[test]
-fn the_built_in_hand_moves_like_a_recorded_hand() {
-    let path = Path::new(SHARED).join("data/trajectories/handheld-desk.txt");
-    if !path.exists() {
-        eprintln!(
-            "SKIPPED: {path:?} is absent; the built-in motion was not compared with a recording"
-        );
-        return;
-    }
+#[ignore = "needs the sequences below MONOGRID_DATA"]
+fn the_built_in_hand_moves_like_that_of_real_data() {
+    let path = data("trajectories/handheld-desk.txt");
     let recorded = CameraPath::recorded(&read_trajectory(&path).unwrap(), 40.0).unwrap();
     let built_in = DEMO.path();
     let (a, b) = (speeds(&recorded), speeds(built_in));
@@ -427,12 +429,9 @@ fn speeds(path: &CameraPath) -> [f64; 4] {
 }
 
 #[test]
-fn recorded_motions_of_both_formats_move_the_camera() {
-    let folder = Path::new(SHARED).join("data/trajectories");
-    if !folder.exists() {
-        eprintln!("SKIPPED: {folder:?} is absent; no recorded motion was played");
-        return;
-    }
+#[ignore = "needs the sequences below MONOGRID_DATA"]
+fn motions_of_real_data_of_both_formats_move_the_camera() {
+    let folder = data("trajectories");
     for name in ["handheld-xyz.txt", "mav-v102.csv"] {
         let poses = read_trajectory(&folder.join(name)).unwrap();
         let path = CameraPath::recorded(&poses, 20.0).unwrap();

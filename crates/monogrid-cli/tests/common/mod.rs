@@ -18,6 +18,15 @@ pub fn monogrid<A: AsRef<std::ffi::OsStr>>(args: impl IntoIterator<Item = A>) ->
     program().args(args).output().expect("the program starts")
 }
 
+/// A recording below the folder that MONOGRID_DATA names.
+pub fn data(name: &str) -> PathBuf {
+    let folder = std::env::var_os("MONOGRID_DATA");
+    let folder = folder.expect("MONOGRID_DATA names the folder of recorded sequences");
+    let path = PathBuf::from(folder).join(name);
+    assert!(path.exists(), "{} is absent", path.display());
+    path
+}
+
 /// Options of runs whose subject is no map: dense depth takes a third of the time of a short one.
 pub const WITHOUT_DENSE_DEPTH: [&str; 2] = ["--set", "mapping.quality=fast"];
 

@@ -1,7 +1,7 @@
 //! Videos as sources, with and without a calibration.
 
 use crate::common::{
-    WITHOUT_DENSE_DEPTH, assert_fails, code, json, monogrid, program, small_sequence, stderr,
+    WITHOUT_DENSE_DEPTH, assert_fails, code, data, json, monogrid, program, small_sequence, stderr,
 };
 use monogrid_bags::McapWriter;
 use monogrid_datasets::{
@@ -16,17 +16,6 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
-fn shared(name: &str) -> Option<PathBuf> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../../shared/data")
-        .join(name);
-    if !path.exists() {
-        eprintln!("SKIPPED: {} is absent", path.display());
-        return None;
-    }
-    Some(path)
-}
-
 fn small(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../monogrid-video/tests/data")
@@ -34,10 +23,9 @@ fn small(name: &str) -> PathBuf {
 }
 
 #[test]
-fn a_phone_video_with_nothing_else() {
-    let Some(video) = shared("phone-desk/video.mp4") else {
-        return;
-    };
+#[ignore = "needs the sequences below MONOGRID_DATA"]
+fn a_phone_video_of_real_data_with_nothing_else() {
+    let video = data("phone-desk/video.mp4");
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("desk");
     let output = program()
@@ -77,10 +65,9 @@ fn a_phone_video_with_nothing_else() {
 }
 
 #[test]
-fn a_wrong_calibration_is_noticed_while_the_map_grows() {
-    let Some(kitchen) = shared("red-kitchen") else {
-        return;
-    };
+#[ignore = "needs the sequences below MONOGRID_DATA"]
+fn a_wrong_calibration_of_real_data_is_noticed_while_the_map_grows() {
+    let kitchen = data("red-kitchen");
     let dir = tempfile::tempdir().unwrap();
     let calibration = dir.path().join("calibration.txt");
     fs::write(&calibration, "300 300 319.5 239.5 640 480\n").unwrap();

@@ -1,4 +1,4 @@
-//! The real sequences that lie beside the project: everything opens, decodes and means what their
+//! Recorded sequences: everything opens, decodes and means what their
 //! README says.
 
 use monogrid_datasets::{
@@ -8,19 +8,13 @@ use monogrid_datasets::{
 use monogrid_geometry::Distortion;
 use std::path::PathBuf;
 
-/// The shared data, or `None` after saying so.
-#[allow(
-    clippy::print_stderr,
-    reason = "a skipped test must say so where it is seen"
-)]
-fn data(name: &str) -> Option<PathBuf> {
-    let path =
-        PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join(name);
-    if path.exists() {
-        return Some(path);
-    }
-    eprintln!("SKIPPED: {} is absent", path.display());
-    None
+/// A recording below the folder that MONOGRID_DATA names.
+fn data(name: &str) -> PathBuf {
+    let folder = std::env::var_os("MONOGRID_DATA");
+    let folder = folder.expect("MONOGRID_DATA names the folder of recorded sequences");
+    let path = PathBuf::from(folder).join(name);
+    assert!(path.exists(), "{} is absent", path.display());
+    path
 }
 
 struct Expected {
@@ -82,11 +76,10 @@ const SEQUENCES: [Expected; 5] = [
 ];
 
 #[test]
+#[ignore = "needs the sequences below MONOGRID_DATA"]
 fn every_sequence_opens_and_decodes() {
     for expected in SEQUENCES {
-        let Some(path) = data(expected.name) else {
-            continue;
-        };
+        let path = data(expected.name);
         let dataset = Dataset::open(&path, SourceOptions::default()).expect("opens");
         assert_eq!(dataset.name, expected.name);
         assert_eq!(dataset.layout, Layout::Tum);
@@ -124,10 +117,9 @@ fn every_sequence_opens_and_decodes() {
 }
 
 #[test]
+#[ignore = "needs the sequences below MONOGRID_DATA"]
 fn euroc_times_are_exact_and_its_lens_is_distorted() {
-    let Some(path) = data("euroc-static") else {
-        return;
-    };
+    let path = data("euroc-static");
     let dataset = Dataset::open(&path, SourceOptions::default()).expect("opens");
     for frame in &dataset.frames {
         // the file name is the integer that the list gives as a decimal number
@@ -146,10 +138,9 @@ fn euroc_times_are_exact_and_its_lens_is_distorted() {
 }
 
 #[test]
+#[ignore = "needs the sequences below MONOGRID_DATA"]
 fn kitti_projection_matrix_agrees_with_the_one_line_form() {
-    let Some(path) = data("kitti-forward") else {
-        return;
-    };
+    let path = data("kitti-forward");
     let line = Calibration::read(&path.join("calibration.txt"), None).expect("readable");
     let matrix = Calibration::read(&path.join("calib.txt"), Some((1226, 370))).expect("readable");
     assert_eq!(line.camera, matrix.camera);
@@ -158,6 +149,7 @@ fn kitti_projection_matrix_agrees_with_the_one_line_form() {
 }
 
 #[test]
+#[ignore = "needs the sequences below MONOGRID_DATA"]
 fn trajectories_of_all_formats_are_read() {
     for (name, count) in [
         ("trajectories/handheld-xyz.txt", 3000),
@@ -165,7 +157,7 @@ fn trajectories_of_all_formats_are_read() {
         ("trajectories/handheld-desk.txt", 20956),
         ("trajectories/mav-v102.csv", 16702),
     ] {
-        let Some(path) = data(name) else { continue };
+        let path = data(name);
         let poses = read_trajectory(&path).expect("readable");
         assert_eq!(poses.len(), count, "{name}");
         assert!(poses.is_sorted_by(|a, b| a.timestamp_ns < b.timestamp_ns));
@@ -173,9 +165,10 @@ fn trajectories_of_all_formats_are_read() {
 }
 
 #[test]
+#[ignore = "needs the sequences below MONOGRID_DATA"]
 fn depth_belongs_to_frames_and_registers_densely() {
     for (name, every) in [("red-kitchen", 5), ("icl-office", 8)] {
-        let Some(path) = data(name) else { continue };
+        let path = data(name);
         let dataset = Dataset::open(&path, SourceOptions::default()).expect("opens");
         let with_depth: Vec<usize> = dataset
             .frames
@@ -222,10 +215,9 @@ fn depth_belongs_to_frames_and_registers_densely() {
 }
 
 #[test]
+#[ignore = "needs the sequences below MONOGRID_DATA"]
 fn repeated_frames_of_the_kitchen_are_those_with_equal_files() {
-    let Some(path) = data("red-kitchen") else {
-        return;
-    };
+    let path = data("red-kitchen");
     let dataset = Dataset::open(&path, SourceOptions::default()).expect("opens");
     let frames = &dataset.frames[215..300];
     let mut checker = FrameChecker::default();
