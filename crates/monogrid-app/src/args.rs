@@ -5,7 +5,7 @@ use crate::process::interrupt::INTERRUPTED;
 use crate::process::print_json;
 use clap::{Args, ValueEnum};
 use monogrid_image::WorkingSize;
-use monogrid_slam::mapping::AutoLength;
+use monogrid_slam::mapping::{AutoLength, IntegrationRule, SensorModelKind};
 use monogrid_video::Patience;
 use serde::{Deserialize, Serialize};
 use std::num::NonZeroUsize;
@@ -81,6 +81,17 @@ pub enum SensorModelArg {
     None,
 }
 
+impl From<SensorModelArg> for SensorModelKind {
+    fn from(model: SensorModelArg) -> Self {
+        match model {
+            SensorModelArg::Thrun => Self::Thrun,
+            SensorModelArg::Andert => Self::Andert,
+            SensorModelArg::Ideal => Self::Ideal,
+            SensorModelArg::None => Self::None,
+        }
+    }
+}
+
 /// How measurements are combined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum IntegrationArg {
@@ -88,6 +99,15 @@ pub enum IntegrationArg {
     Fused,
     /// Every measurement updates every cell that it crosses
     Rays,
+}
+
+impl From<IntegrationArg> for IntegrationRule {
+    fn from(rule: IntegrationArg) -> Self {
+        match rule {
+            IntegrationArg::Fused => Self::Fused,
+            IntegrationArg::Rays => Self::Rays,
+        }
+    }
 }
 
 /// Sensor model and map options shared by `run` and `map`.

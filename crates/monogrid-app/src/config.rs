@@ -1,11 +1,11 @@
 //! The configuration of a run: profile, then file, then `--set`, then options; written out as it was used.
 
-use crate::args::{IntegrationArg, MappingArgs, Profile, SensorModelArg};
+use crate::args::{MappingArgs, Profile};
 use crate::process::failure::{Classify, Failure};
 use monogrid_datasets::read_file;
 use monogrid_image::WorkingSize;
 use monogrid_slam::SlamConfig;
-use monogrid_slam::mapping::{IntegrationRule, MapQuality, MappingConfig, SensorModelKind};
+use monogrid_slam::mapping::{MapQuality, MappingConfig};
 use monogrid_slam::settings::{self, MAPPING, SLAM};
 use std::path::Path;
 use toml::{Table, Value};
@@ -169,12 +169,7 @@ impl RunConfig {
     pub fn apply(&mut self, args: &MappingArgs) {
         let mapping = &mut self.mapping;
         if let Some(model) = args.sensor_model {
-            mapping.sensor_model = match model {
-                SensorModelArg::Thrun => SensorModelKind::Thrun,
-                SensorModelArg::Andert => SensorModelKind::Andert,
-                SensorModelArg::Ideal => SensorModelKind::Ideal,
-                SensorModelArg::None => SensorModelKind::None,
-            };
+            mapping.sensor_model = model.into();
         }
         if let Some(resolution) = args.resolution {
             mapping.resolution = resolution;
@@ -184,10 +179,7 @@ impl RunConfig {
         mapping.significance = args.significance.unwrap_or(mapping.significance);
         mapping.max_range = args.max_range.unwrap_or(mapping.max_range);
         if let Some(integration) = args.integration {
-            mapping.integration = match integration {
-                IntegrationArg::Fused => IntegrationRule::Fused,
-                IntegrationArg::Rays => IntegrationRule::Rays,
-            };
+            mapping.integration = integration.into();
         }
     }
 
@@ -309,7 +301,8 @@ mod manual;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use monogrid_slam::mapping::AutoLength;
+    use crate::args::SensorModelArg;
+    use monogrid_slam::mapping::{AutoLength, SensorModelKind};
 
     fn message(failure: &Failure) -> String {
         match failure {

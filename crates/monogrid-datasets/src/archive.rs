@@ -5,6 +5,7 @@
 //! once. A gzipped tar file has no such places: it is decompressed to a file without a name, which the system deletes when
 //! the program ends, however it ends.
 
+use crate::images::IMAGE_ENDINGS;
 use crate::{DatasetError, open_file};
 use flate2::read::{DeflateDecoder, GzDecoder};
 use rawzip::{
@@ -18,10 +19,9 @@ use std::ops::Bound;
 use std::path::{Component, Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
-/// Endings of the files of a sequence; nothing else is listed.
-const USEFUL: [&str; 18] = [
-    "png", "jpg", "jpeg", "pgm", "ppm", "pnm", "tif", "tiff", "webp", "txt", "csv", "toml", "yaml",
-    "yml", "cfg", "xml", "json", "md",
+/// Endings of the files of a sequence beside those of images; nothing else is listed.
+const USEFUL: [&str; 9] = [
+    "txt", "csv", "toml", "yaml", "yml", "cfg", "xml", "json", "md",
 ];
 
 /// Bytes that may come out of one byte of an archive: images hardly shrink, lists by ten.
@@ -435,7 +435,8 @@ impl Listing<'_> {
 /// Whether a sequence may need a file of this name.
 fn is_useful(name: &Path) -> bool {
     let ending = name.extension().unwrap_or_default().to_string_lossy();
-    USEFUL.contains(&ending.to_ascii_lowercase().as_str())
+    let ending = ending.to_ascii_lowercase();
+    USEFUL.contains(&ending.as_str()) || IMAGE_ENDINGS.contains(&ending.as_str())
 }
 
 /// What the disk of a file has left; `None` where the system does not say.

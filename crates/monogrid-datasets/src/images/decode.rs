@@ -157,6 +157,11 @@ pub(super) fn read_image_file(path: &Path) -> Result<Vec<u8>, DatasetError> {
     read_file(path, MAX_FILE_BYTES)
 }
 
+/// File names that are taken for images; their content decides about the format.
+pub(crate) const IMAGE_ENDINGS: [&str; 9] = [
+    "png", "jpg", "jpeg", "pgm", "ppm", "pnm", "tif", "tiff", "webp",
+];
+
 /// The format that the first bytes announce.
 pub(super) fn sniff(bytes: &[u8], path: &Path) -> Result<Format, DatasetError> {
     match bytes {

@@ -7,6 +7,7 @@ use super::{
 use crate::DatasetError;
 use crate::archive::Archive;
 use crate::files::{is_file, is_folder, paths_in};
+use crate::images::IMAGE_ENDINGS;
 use crate::text::{data_lines, read_text};
 use crate::timestamp::{TimeUnit, parse_date};
 use std::ffi::OsStr;
@@ -27,11 +28,6 @@ const IMAGE_FOLDERS: [&str; 12] = [
     "image_01/data",
     "image_02/data",
     "image_03/data",
-];
-
-/// File names that are taken for images; their content decides about the format.
-const IMAGE_EXTENSIONS: [&str; 9] = [
-    "png", "jpg", "jpeg", "pgm", "ppm", "pnm", "tif", "tiff", "webp",
 ];
 
 /// Images that belong to the calibration, not to the sequence.
@@ -179,7 +175,7 @@ fn is_frame_name(name: &str) -> bool {
     let lower = name.to_ascii_lowercase();
     let extension = lower.rsplit_once('.').map_or("", |(_, e)| e);
     !lower.starts_with('.')
-        && IMAGE_EXTENSIONS.contains(&extension)
+        && IMAGE_ENDINGS.contains(&extension)
         && !NOT_FRAMES.contains(&lower.as_str())
 }
 
