@@ -1,9 +1,10 @@
 //! The command line: every command, option and default, as `--help` shows them.
 
-use crate::commands::{
-    batch, calibrate, cameras, check, demo, distances, evaluate, evaluate_map, info, map,
-    merge_runs, report, rescale, run, shell, slice, synth, tools, truth, view,
-};
+use crate::commands::evaluate::{self, map as evaluate_map, truth};
+use crate::commands::maps::{distances, info, map, slice, tools};
+use crate::commands::runs::{batch, demo, merge_runs, report, rescale, run, view};
+use crate::commands::shell;
+use crate::commands::sources::{calibrate, cameras, check, synth};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use monogrid_app::process::console::printable;
 use monogrid_thesis::ThesisCommand;

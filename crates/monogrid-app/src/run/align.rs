@@ -3,8 +3,8 @@
 //! It is one similarity, `map_from_world`: of the scene, an inertial sensor, `--up`, `--align`, or the earlier session. Poses are
 //! brought to it before the map is built: a finished map is never resampled.
 
-use super::sensed::SensedFrame;
 use crate::process::failure::{Classify, Failure};
+use crate::run::sensed::SensedFrame;
 use monogrid_datasets::{TimedPose, read_sim3, read_trajectory};
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
 use monogrid_geometry::{Se3, Sim3, Vec3};

@@ -1,13 +1,13 @@
 //! What the user reads when a run is over.
 
-use super::sensed::InertialSummary;
-use super::summary::{Status, Summary};
-use super::threads::Tracked;
-use super::whole::Finished;
 use crate::input::seen::{name, no_map};
 use crate::output::OutputFolder;
 use crate::process::failure::{CommandResult, Failure};
 use crate::process::print_json;
+use crate::run::sensed::InertialSummary;
+use crate::run::summary::{Status, Summary};
+use crate::run::tracking::threads::Tracked;
+use crate::run::whole::Finished;
 use monogrid_calibration::CameraMotion;
 use std::path::Path;
 

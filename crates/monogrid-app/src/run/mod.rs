@@ -3,9 +3,9 @@
 //! What calls what, in the order of time:
 //!
 //! ```text
-//! commands::{run, demo}
+//! the commands run and demo
 //!   -> whole::run_all
-//!        -> threads::track       monogrid_pipeline: reader -> tracking -> recorder (recording, pictures of keyframes)
+//!        -> tracking             monogrid_pipeline: reader -> tracking -> recorder (recording, pictures of keyframes)
 //!                                                                      -> mapper   (maps that grow)
 //!                                                                      -> live     (`--view`)
 //!        -> sensed, align        the frame of the results
@@ -19,27 +19,19 @@
 
 pub mod align;
 pub mod conclusion;
-mod frame_log;
-pub mod frames;
 mod live;
-mod memory_limit;
 pub mod outputs;
-mod progress;
-pub mod recorder;
 pub mod report;
-mod salvage;
 pub mod sensed;
 pub mod sessions;
-mod submaps;
 pub mod summary;
-pub mod threads;
-mod tracking;
+pub mod tracking;
 mod trust;
 pub mod whole;
 
 pub use live::View;
-pub use memory_limit::MemoryLimit;
-pub use submaps::SubmapPolicy;
+pub use tracking::memory_limit::MemoryLimit;
+pub use tracking::submaps::SubmapPolicy;
 
 use crate::config::RunConfig;
 use crate::output::OutputFile;

@@ -1,7 +1,7 @@
 //! How far to trust a map, in one sentence: what is least certain, and how to film so that it is.
 
-use super::summary::{Status, Summary};
 use crate::input::Input;
+use crate::run::summary::{Status, Summary};
 
 /// Things that are named, at most: the least certain ones.
 const MAX_NAMED: usize = 3;
@@ -70,7 +70,7 @@ fn uncertainties(summary: &Summary, is_focal_assumed: bool) -> Vec<Uncertainty> 
             "film the floor too",
         ),
         (
-            summary.scale == super::summary::ARBITRARY,
+            summary.scale == crate::run::summary::ARBITRARY,
             "the scale, which one camera does not show",
             "see monogrid rescale",
         ),

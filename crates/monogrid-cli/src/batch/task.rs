@@ -5,7 +5,7 @@ use super::keys::{Key, joined};
 use super::list::{Listed, safe_name};
 use super::outputs::without_outputs;
 use crate::cli::{Cli, Command};
-use crate::commands::run::{RunArgs, configuration, inputs_of_options};
+use crate::commands::runs::run::{RunArgs, configuration, inputs_of_options};
 use monogrid_app::config::RunConfig;
 use monogrid_app::process::failure::Failure;
 use std::collections::{BTreeMap, BTreeSet};

@@ -1,26 +1,10 @@
 //! The commands.
 
-pub mod batch;
-pub mod calibrate;
-pub mod cameras;
-pub mod check;
-pub mod demo;
-pub mod distances;
 pub mod evaluate;
-pub mod evaluate_map;
-pub mod info;
-pub mod map;
-pub mod merge_runs;
-pub mod posed_depth;
-pub mod report;
-pub mod rescale;
-pub mod run;
+pub mod maps;
+pub mod runs;
 pub mod shell;
-pub mod slice;
-pub mod synth;
-pub mod tools;
-pub mod truth;
-pub mod view;
+pub mod sources;
 
 use monogrid_app::process::{bytes, use_threads, warn};
 use monogrid_worlds::MeshModel;

@@ -7,7 +7,7 @@ use monogrid_app::input::Input;
 use monogrid_app::output::{Inputs, OutputFolder};
 use monogrid_app::process::failure::Failure;
 use monogrid_app::run::RunSettings;
-use monogrid_app::run::threads::track;
+use monogrid_app::run::tracking::threads::track;
 use monogrid_image::GrayImage;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;

@@ -11,7 +11,7 @@ mod rerun;
 pub use rerun::View;
 
 use crate::process::failure::Failure;
-use crate::run::frames::FrameRow;
+use crate::run::tracking::frames::FrameRow;
 use answers::Shown;
 use monogrid_geometry::{Pinhole, Se3, Sim3};
 use monogrid_image::GrayImage;

@@ -2,8 +2,8 @@
 
 use super::ReportInput;
 use super::tracking::{STATES, state};
-use crate::run::frames::FrameRow;
-use crate::run::threads::Tracked;
+use crate::run::tracking::frames::FrameRow;
+use crate::run::tracking::threads::Tracked;
 use monogrid_report::explorer::{
     Camera, Cells, Frames, PageMesh, PathPoint, Scene, cloud_and_keyframes, point_groups,
     seconds_since,

@@ -3,11 +3,11 @@
 mod explore;
 mod tracking;
 
-use super::align::MapFrame;
-use super::outputs::{MapPictures, Paths};
-use super::recorder::measured;
-use super::summary::Summary;
-use super::threads::Tracked;
+use crate::run::align::MapFrame;
+use crate::run::outputs::{MapPictures, Paths};
+use crate::run::summary::Summary;
+use crate::run::tracking::recorder::measured;
+use crate::run::tracking::threads::Tracked;
 use monogrid_report::Page;
 use monogrid_report::colours::Colours;
 use monogrid_report::explorer::{self, ShownKeyframe};

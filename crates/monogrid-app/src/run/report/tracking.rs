@@ -1,6 +1,6 @@
 //! How tracking went, frame by frame: states as colours, losses as a table, what was measured as plots.
 
-use crate::run::frames::{FrameFate, FrameRow};
+use crate::run::tracking::frames::{FrameFate, FrameRow};
 use monogrid_report::svg::{Plot, Series};
 use monogrid_slam::{FrameReport, TrackingState};
 

@@ -5,9 +5,9 @@ use crate::input::Input;
 use crate::input::seen::name;
 use crate::run::RunSettings;
 use crate::run::align::MapFrame;
-use crate::run::frames::{FrameFate, FrameRow};
 use crate::run::sessions::sessions;
-use crate::run::threads::Tracked;
+use crate::run::tracking::frames::{FrameFate, FrameRow};
+use crate::run::tracking::threads::Tracked;
 
 use monogrid_slam::mapping::Maps;
 use monogrid_slam::{KeyframeId, Scale, Slam};

@@ -6,10 +6,10 @@ mod status;
 pub use make::is_metric;
 pub use status::Status;
 
-use super::align::{FloorSummary, UpSummary};
-use super::frames::FrameRow;
-use super::sensed::InertialSummary;
 use crate::process::usage::{peak_rss_bytes, process_start};
+use crate::run::align::{FloorSummary, UpSummary};
+use crate::run::sensed::InertialSummary;
+use crate::run::tracking::frames::FrameRow;
 use monogrid_datasets::RecordedSession;
 use monogrid_evaluation::{DepthReport, MapReport, PolicyReport, TrajectoryReport};
 use monogrid_slam::mapping::SceneCell;
@@ -265,7 +265,7 @@ impl Summary {
 #[cfg(test)]
 mod tests {
     use super::Latency;
-    use crate::run::frames::{FrameFate, FrameRow};
+    use crate::run::tracking::frames::{FrameFate, FrameRow};
     use monogrid_slam::{FrameReport, TrackingState};
 
     #[test]

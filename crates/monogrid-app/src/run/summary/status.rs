@@ -4,9 +4,9 @@
 
 use crate::process::failure::Outcome;
 use crate::run::RunSettings;
-use crate::run::frames::{FrameFate, FrameRow};
-use crate::run::threads::Tracked;
 use crate::run::tracking::EarlyEnd;
+use crate::run::tracking::frames::{FrameFate, FrameRow};
+use crate::run::tracking::threads::Tracked;
 use monogrid_calibration::CameraMotion;
 use monogrid_slam::TrackingState;
 use serde::Serialize;

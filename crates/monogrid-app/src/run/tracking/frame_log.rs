@@ -1,7 +1,7 @@
 //! What became of the frames of a run, kept on disk while the run goes on: memory does not grow with its length.
 
-use super::frames::FrameRow;
 use crate::process::failure::{Classify, Failure};
+use crate::run::tracking::frames::FrameRow;
 use anyhow::Context;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -100,7 +100,7 @@ fn write_block(file: &mut File, begin: u64, rows: &[FrameRow]) -> io::Result<u64
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::run::frames::FrameFate;
+    use crate::run::tracking::frames::FrameFate;
     use monogrid_geometry::{Se3, Vec6};
     use monogrid_slam::{FrameReport, InFragment, LostReason, TrackingState};
 

@@ -1,8 +1,8 @@
 //! `monogrid truth`: a ground-truth map of a mesh, a point cloud, a built-in world or posed depth.
 
-use super::posed_depth::PosedDepthFolder;
-use super::synth::is_mesh;
-use super::{bytes, left_out, warn};
+use crate::commands::maps::posed_depth::PosedDepthFolder;
+use crate::commands::sources::synth::is_mesh;
+use crate::commands::{bytes, left_out, warn};
 use clap::Args;
 use monogrid_app::args::{WriteArgs, positive};
 use monogrid_app::mapfile;

@@ -1,7 +1,7 @@
 //! `monogrid evaluate map` and `monogrid evaluate paths`: a map against the true one.
 
-use super::tools::similarity;
-use super::use_threads;
+use crate::commands::maps::tools::similarity;
+use crate::commands::use_threads;
 use anyhow::Context as _;
 use clap::Args;
 use monogrid_app::args::{JsonArg, MappingArgs, Profile, positive};

@@ -3,13 +3,13 @@
 //! The recording has the depth of the filter, before mapping has made anything of it: `monogrid map` builds the map of the run again,
 //! byte for byte, or another one.
 
-use super::sessions::{Earlier, RECORDING, continuation};
-use super::submaps::{SubmapPolicy, Submaps};
 use crate::keyframe_colours::ColourSource;
 use crate::keyframe_pixels::to_recorded;
 use crate::output::{Content, OutputFolder};
 use crate::process::failure::{Classify, Failure};
 use crate::process::memory;
+use crate::run::sessions::{Earlier, RECORDING, continuation};
+use crate::run::tracking::submaps::{SubmapPolicy, Submaps};
 use monogrid_datasets::{
     ColourRecord, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, Record, RecordedCamera,
     RecordingWriter, SessionInfo, encode_png, encode_png_rgb,

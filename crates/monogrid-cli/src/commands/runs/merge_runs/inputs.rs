@@ -1,6 +1,6 @@
 //! The recordings that are merged, in an order that does not depend on how they were named.
 
-use crate::commands::rescale::SUMMARY;
+use crate::commands::runs::rescale::SUMMARY;
 use monogrid_app::process::failure::Failure;
 use monogrid_app::run::align::Align;
 use monogrid_app::run::sessions::{Earlier, Source};

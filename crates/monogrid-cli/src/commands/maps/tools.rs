@@ -1,6 +1,6 @@
 //! Tools on maps: `crop`, `merge`, `transform`, `diff`, `project`, `convert`, `mesh`, `plan`.
 
-use super::bytes;
+use crate::commands::bytes;
 use clap::Args;
 use monogrid_app::args::{JsonArg, WriteArgs, positive};
 use monogrid_app::mapfile;

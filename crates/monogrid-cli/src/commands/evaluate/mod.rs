@@ -1,6 +1,9 @@
 //! `monogrid evaluate trajectory` and `monogrid evaluate depth`.
 
-use super::use_threads;
+pub mod map;
+pub mod truth;
+
+use crate::commands::use_threads;
 use clap::{Args, ValueEnum};
 use monogrid_app::args::{JsonArg, Profile};
 use monogrid_app::config::RunConfig;

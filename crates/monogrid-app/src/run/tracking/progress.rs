@@ -1,7 +1,7 @@
 //! Progress on standard error: a bar on a terminal, a line now and then elsewhere.
 
-use super::frames::{FrameFate, FrameRow};
 use crate::process::progress;
+use crate::run::tracking::frames::{FrameFate, FrameRow};
 use indicatif::ProgressBar;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};

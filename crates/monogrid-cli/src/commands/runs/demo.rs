@@ -1,8 +1,8 @@
 //! `monogrid demo`: a built-in world from rendering to the report, compared with the exact truth.
 
-use super::evaluate::add_keyframe;
-use super::truth::triangles_of;
-use super::use_threads;
+use crate::commands::evaluate::add_keyframe;
+use crate::commands::evaluate::truth::triangles_of;
+use crate::commands::use_threads;
 use clap::Args;
 use monogrid_app::args::{JsonArg, Profile};
 use monogrid_app::config::RunConfig;
@@ -13,7 +13,7 @@ use monogrid_app::run::RunSettings;
 use monogrid_app::run::align::Align;
 use monogrid_app::run::conclusion::conclude;
 use monogrid_app::run::outputs::path_of;
-use monogrid_app::run::threads::Tracked;
+use monogrid_app::run::tracking::threads::Tracked;
 use monogrid_app::run::whole::{Extras, run_all};
 use monogrid_datasets::TimedPose;
 use monogrid_evaluation::{

@@ -1,6 +1,6 @@
 //! `monogrid run`: what the command line asks for, put together and checked before anything is computed.
 
-use super::{use_threads, warn};
+use crate::commands::{use_threads, warn};
 use clap::Args;
 use monogrid_app::args::{JsonArg, MappingArgs, Profile, SourceArgs, memory, positive};
 use monogrid_app::camera::refine::refine;

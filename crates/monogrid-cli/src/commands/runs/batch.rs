@@ -1,6 +1,5 @@
 //! `monogrid batch`: many recordings, each by a run of its own.
 
-use super::warn;
 use crate::batch::class::Class;
 use crate::batch::keys::parse_key;
 use crate::batch::list::{lists, read_sources};
@@ -9,6 +8,7 @@ use crate::batch::record::TaskRecord;
 use crate::batch::schedule::{self, Carried, Limits, available_memory};
 use crate::batch::task::{Task, tasks};
 use crate::batch::work::{Job, Outcome};
+use crate::commands::warn;
 use clap::Args;
 use monogrid_app::args::{JsonArg, positive};
 use monogrid_app::output::OutputFolder;

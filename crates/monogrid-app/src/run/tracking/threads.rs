@@ -1,18 +1,18 @@
 //! A run on the pipeline: what is read, who listens, what becomes of each frame.
 
-use super::RunSettings;
-use super::frames::FrameRow;
-use super::live::Viewer;
-use super::recorder::Recorder;
-use super::salvage::Salvage;
-use super::sessions::Continued;
-use super::tracking::{EarlyEnd, Tracking};
 use crate::input::Input;
 use crate::keyframe_colours::ColourSource;
 use crate::output::OutputFolder;
 use crate::process::failure::{Classify, Failure};
 use crate::process::interrupt::INTERRUPTED;
 use crate::process::usage::process_cpu;
+use crate::run::RunSettings;
+use crate::run::live::Viewer;
+use crate::run::sessions::Continued;
+use crate::run::tracking::frames::FrameRow;
+use crate::run::tracking::recorder::Recorder;
+use crate::run::tracking::salvage::Salvage;
+use crate::run::tracking::{EarlyEnd, Tracking};
 use monogrid_calibration::CameraMotion;
 use monogrid_datasets::SessionInfo;
 use monogrid_pipeline::{Finished, Pipeline, Reading, Settings, attempt, read_ahead};

@@ -5,13 +5,13 @@
 //! is kept here. When somebody has interrupted and the run has not ended by itself soon after, that
 //! is written, and the process ends.
 
-use super::RunSettings;
-use super::align::in_map;
-use super::summary::Status;
 use crate::output::OutputFolder;
 use crate::process::failure::{Classify, Failure, Outcome};
 use crate::process::interrupt::is_interrupted;
 use crate::process::usage::process_cpu;
+use crate::run::RunSettings;
+use crate::run::align::in_map;
+use crate::run::summary::Status;
 use monogrid_datasets::{TimedPose, format_sim3, format_tum};
 use monogrid_occupancy::{MapError, MapFormat, OccupancyMap};
 use monogrid_slam::mapping::{

@@ -1,7 +1,7 @@
 //! `monogrid map`: an occupancy map from a recording, from scans, or from posed depth images.
 
-use super::posed_depth::PosedDepthFolder;
-use super::{bytes, use_threads, warn};
+use crate::commands::maps::posed_depth::PosedDepthFolder;
+use crate::commands::{bytes, use_threads, warn};
 use clap::Args;
 use monogrid_app::args::{MappingArgs, Profile, WriteArgs};
 use monogrid_app::config::RunConfig;

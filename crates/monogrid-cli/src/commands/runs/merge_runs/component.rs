@@ -1,14 +1,14 @@
 //! Recordings that were joined, as one recording that every command understands.
 
 use super::inputs::Part;
-use crate::commands::rescale::SUMMARY;
+use crate::commands::runs::rescale::SUMMARY;
 use monogrid_app::output::{Content, OutputFolder};
 use monogrid_app::process::failure::{Classify, Failure};
 use monogrid_app::recorded::Recorded;
 use monogrid_app::run::align::{Align, MapFrame, Up, in_map};
 use monogrid_app::run::outputs::path_of;
-use monogrid_app::run::recorder::keyframe_record;
 use monogrid_app::run::sessions::{MAP_FROM_WORLD, RECORDING, continuation_of, tracked_frame};
+use monogrid_app::run::tracking::recorder::keyframe_record;
 use monogrid_datasets::{
     ColourRecord, EndRecord, PoseSnapshot, Record, RecordedCamera, RecordedFrame, RecordedSession,
     RecordingWriter, Scale, SessionInfo, TimedPose, format_sim3, format_tum,

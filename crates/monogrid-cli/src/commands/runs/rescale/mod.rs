@@ -3,7 +3,7 @@
 mod scale;
 mod tables;
 
-use super::use_threads;
+use crate::commands::use_threads;
 use clap::Args;
 use monogrid_app::args::{WriteArgs, positive};
 use monogrid_app::output::{Content, Inputs, OutputFolder};

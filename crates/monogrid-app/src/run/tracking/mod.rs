@@ -1,12 +1,14 @@
 //! What becomes of each frame.
 
-use super::RunSettings;
-use super::frame_log::FrameLog;
-use super::frames::{FrameFate, FrameRow};
-use super::live::Viewer;
-use super::progress::Progress;
-use super::salvage::Salvage;
-use super::threads::{CpuTimes, Tracked};
+mod frame_log;
+pub mod frames;
+pub mod memory_limit;
+pub(crate) mod progress;
+pub mod recorder;
+pub(crate) mod salvage;
+pub mod submaps;
+pub mod threads;
+
 use crate::camera::calibration_check::CalibrationCheck;
 use crate::camera::rolling::ShutterSearch;
 use crate::input::frame_colours::FrameColours;
@@ -15,6 +17,13 @@ use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
 use crate::process::failure::{Failure, render};
 use crate::process::memory;
 use crate::process::usage::process_cpu;
+use crate::run::RunSettings;
+use crate::run::live::Viewer;
+use crate::run::tracking::frame_log::FrameLog;
+use crate::run::tracking::frames::{FrameFate, FrameRow};
+use crate::run::tracking::progress::Progress;
+use crate::run::tracking::salvage::Salvage;
+use crate::run::tracking::threads::{CpuTimes, Tracked};
 use monogrid_calibration::{CameraMotion, MotionWatch};
 use monogrid_image::GrayImage;
 use monogrid_pipeline::{

@@ -2,8 +2,8 @@
 //!
 //! They hold the records of the recording and are written beside it; commands read either (`sessions::Source`).
 
-use super::recorder::{depth_revision, keyframe_record, loaded};
 use crate::process::failure::{Classify, Failure};
+use crate::run::tracking::recorder::{depth_revision, keyframe_record, loaded};
 
 use crate::output::OutputFolder;
 use monogrid_datasets::{

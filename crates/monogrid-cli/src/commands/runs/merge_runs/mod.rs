@@ -3,8 +3,8 @@
 mod component;
 mod inputs;
 
-use super::rescale::{SUMMARY, write_maps};
-use super::{use_threads, warn};
+use crate::commands::runs::rescale::{SUMMARY, write_maps};
+use crate::commands::{use_threads, warn};
 use clap::Args;
 use component::{Written, components, write_component};
 use inputs::{Part, read_parts};

@@ -1,6 +1,6 @@
 //! `monogrid view`: a map, a cloud or a run in the browser, as a page or as a picture.
 
-use super::left_out;
+use crate::commands::left_out;
 use clap::Args;
 use monogrid_app::args::WriteArgs;
 use monogrid_app::keyframe_pixels::from_recorded;

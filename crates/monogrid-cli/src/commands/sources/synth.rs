@@ -1,7 +1,7 @@
 //! `monogrid synth`: a synthetic dataset in TUM layout with exact depth, poses and truth map.
 
-use super::truth::{config_for, of_world, positions_along};
-use super::use_threads;
+use crate::commands::evaluate::truth::{config_for, of_world, positions_along};
+use crate::commands::use_threads;
 use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use monogrid_app::args::{JsonArg, positive, readout_ms, size};
@@ -201,7 +201,7 @@ fn write(args: &SynthArgs, folder: &OutputFolder, sequence: &SynthSequence) -> C
 }
 
 /// Whether a world is asked for by the name of a mesh file.
-pub(super) fn is_mesh(world: &Path) -> bool {
+pub fn is_mesh(world: &Path) -> bool {
     let extension = world.extension().unwrap_or_default();
     extension.eq_ignore_ascii_case("ply") || extension.eq_ignore_ascii_case("obj")
 }

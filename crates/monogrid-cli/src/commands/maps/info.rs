@@ -1,6 +1,6 @@
 //! `monogrid info`: facts about a map or submaps.
 
-use super::bytes;
+use crate::commands::bytes;
 use clap::Args;
 use monogrid_app::args::JsonArg;
 use monogrid_app::mapfile;
