@@ -1,9 +1,9 @@
 //! What a scan will cost, estimated from some of its measurements before anything is made for it.
 
-use super::beam::total_sigma;
-use super::image::NARROWEST_SLOPES;
-use super::{IntegrationConfig, IntegrationRule};
 use crate::error::MapError;
+use crate::integrate::image::NARROWEST_SLOPES;
+use crate::integrate::rays::beam::total_sigma;
+use crate::integrate::{IntegrationConfig, IntegrationRule};
 use crate::key::{BRICK_CELLS, BRICK_EDGE};
 use crate::map::OccupancyMap;
 use crate::scan::Scan;
@@ -248,7 +248,7 @@ mod tests {
             let scan = scan(data);
             let cost = Cost::of(&scan, &config, cells, &KnownTables::default()).unwrap();
             let mut map = OccupancyMap::new(MapConfig::with_resolution(cells)).unwrap();
-            let report = super::super::integrate(&mut map, &scan, &config, 2).unwrap();
+            let report = crate::integrate::integrate(&mut map, &scan, &config, 2).unwrap();
             let estimated = cost.free + cost.band;
             let ratio = estimated / report.brick_visits as f64;
             assert!(
@@ -269,8 +269,8 @@ mod tests {
         let (pixels, _) = wall();
         let scan = scan(camera(&pixels));
         for rule in [
-            super::super::IntegrationRule::Fused,
-            super::super::IntegrationRule::Rays,
+            crate::integrate::IntegrationRule::Fused,
+            crate::integrate::IntegrationRule::Rays,
         ] {
             let config = IntegrationConfig {
                 rule,
@@ -285,16 +285,16 @@ mod tests {
             };
             for cells in [1e-5, 1e-4, 1e-3] {
                 let mut map = map_of(cells);
-                let refused = super::super::integrate(&mut map, &scan, &config, 2);
+                let refused = crate::integrate::integrate(&mut map, &scan, &config, 2);
                 let Err(MapError::TooFine { fitting_cell, .. }) = refused else {
                     panic!("{refused:?}");
                 };
                 let scans = [scan, scan];
-                assert!(super::super::integrate_scans(&mut map, &scans, &config, 2).is_err());
-                assert!(super::super::bricks_seen(&map, &scan, &config, 2).is_err());
+                assert!(crate::integrate::integrate_scans(&mut map, &scans, &config, 2).is_err());
+                assert!(crate::integrate::bricks_seen(&map, &scan, &config, 2).is_err());
                 assert_eq!(map.bytes_in_memory(), map_of(cells).bytes_in_memory());
                 let mut map = map_of(fitting_cell);
-                super::super::integrate(&mut map, &scan, &config, 2).unwrap();
+                crate::integrate::integrate(&mut map, &scan, &config, 2).unwrap();
             }
         }
     }
@@ -311,7 +311,7 @@ mod tests {
             ..IntegrationConfig::default()
         };
         let mut map = OccupancyMap::new(MapConfig::with_resolution(0.05)).unwrap();
-        let refused = super::super::integrate(&mut map, &scan, &config, 2);
+        let refused = crate::integrate::integrate(&mut map, &scan, &config, 2);
         assert!(
             matches!(refused, Err(MapError::TooFine { .. })),
             "{refused:?}"
@@ -333,7 +333,7 @@ mod tests {
                 sigmas: &[1e8],
             }));
             let mut map = OccupancyMap::new(MapConfig::with_resolution(0.05)).unwrap();
-            let refused = super::super::integrate(&mut map, &uncertain, &config, 2);
+            let refused = crate::integrate::integrate(&mut map, &uncertain, &config, 2);
             assert!(
                 matches!(refused, Err(MapError::TooFine { .. })),
                 "{refused:?}"
@@ -353,7 +353,7 @@ mod tests {
         let config = IntegrationConfig::default();
         let cost = Cost::of(&scan, &config, 0.05, &KnownTables::default()).unwrap();
         let mut map = OccupancyMap::new(MapConfig::with_resolution(0.05)).unwrap();
-        let report = super::super::integrate(&mut map, &scan, &config, 2).unwrap();
+        let report = crate::integrate::integrate(&mut map, &scan, &config, 2).unwrap();
         // a fan is as thin as a brick, a ball of this radius has half a million of them
         assert!(report.brick_visits < 4000, "{}", report.brick_visits);
         assert!(cost.free + cost.band < 4000.0, "{cost:?}");

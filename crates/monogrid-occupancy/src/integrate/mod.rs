@@ -9,36 +9,12 @@
 //! Both are split over shards of bricks that no two threads share, so the result is the same,
 //! bit for bit, for any number of threads.
 
-mod batches;
-pub(crate) mod beam;
-#[cfg(target_arch = "x86_64")]
-mod block_avx2;
-mod chunks;
 mod cost;
-mod depth_image;
-pub(crate) mod footprint;
 pub(crate) mod fused;
-#[cfg(target_arch = "x86_64")]
-mod holes_avx2;
 pub(crate) mod image;
 pub(crate) mod kernel;
-#[cfg(target_arch = "x86_64")]
-mod kernel_avx2;
-mod kernel_image;
-pub(crate) mod octants;
-#[cfg(target_arch = "x86_64")]
-mod octants_avx2;
 pub(crate) mod parallel;
-pub(crate) mod pyramid;
-pub(crate) mod ray;
 pub(crate) mod rays;
-mod samples;
-pub(crate) mod saturated;
-mod search;
-mod slope;
-mod visits;
-pub(crate) mod windows;
-mod writer;
 
 use self::cost::affordable;
 use crate::error::MapError;

@@ -1,7 +1,7 @@
 //! Ray casts: the first occupied cell on a line of sight.
 
 use crate::evidence::{Occupancy, UNKNOWN};
-use crate::integrate::ray::{MAX_CELLS, RANGE_BITS, Ray};
+use crate::integrate::rays::ray::{MAX_CELLS, RANGE_BITS, Ray};
 use crate::key::{BRICK_EDGE, BRICK_LIMIT, BrickKey, VoxelKey};
 use crate::map::OccupancyMap;
 use crate::storage::BrickRef;

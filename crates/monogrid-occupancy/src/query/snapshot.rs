@@ -10,7 +10,7 @@ use std::sync::Arc;
 use super::cast::{RayHit, UnknownCells, first_hit, first_in_brick};
 use super::collide::{self, States};
 use crate::evidence::Occupancy;
-use crate::integrate::ray::Ray;
+use crate::integrate::rays::ray::Ray;
 use crate::key::{BRICK_CELLS, BrickKey, VoxelKey};
 use crate::map::OccupancyMap;
 use crate::storage::BrickRef;

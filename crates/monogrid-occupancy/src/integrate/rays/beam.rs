@@ -1,10 +1,10 @@
 //! Measurements as rays with their evidence, and where they begin.
 
-use super::IntegrationConfig;
-use super::parallel::for_each;
-use super::ray::{MAX_CELLS, RANGE_BITS, Ray, TIME_BITS, fixed};
-use super::saturated::{BeamTiles, Saturated};
 use crate::error::MapError;
+use crate::integrate::IntegrationConfig;
+use crate::integrate::parallel::for_each;
+use crate::integrate::rays::ray::{MAX_CELLS, RANGE_BITS, Ray, TIME_BITS, fixed};
+use crate::integrate::rays::saturated::{BeamTiles, Saturated};
 use crate::key::BRICK_LIMIT;
 use crate::map::OccupancyMap;
 use crate::scan::{PointScan, Scan, ScanData};

@@ -3,8 +3,16 @@
 //! The scalar kernel here defines the result; `kernel_avx2` computes the same bits eight cells at
 //! a time.
 
-use super::kernel_image::KernelImage;
-use super::octants::Octants;
+#[cfg(target_arch = "x86_64")]
+mod block_avx2;
+#[cfg(target_arch = "x86_64")]
+mod holes_avx2;
+#[cfg(target_arch = "x86_64")]
+mod kernel_avx2;
+pub(crate) mod kernel_image;
+
+use crate::integrate::fused::octants::Octants;
+use crate::integrate::kernel::kernel_image::KernelImage;
 use crate::key::{BRICK_CELLS, BRICK_EDGE};
 
 /// Samples in a wide footprint, as offsets in units of its width: a Latin square, so that each
@@ -161,7 +169,7 @@ impl Kernel<'_> {
         cells: &mut [i16; BRICK_CELLS],
     ) {
         #[cfg(target_arch = "x86_64")]
-        if super::kernel_avx2::brick(self, brick, weights, octants, cells) {
+        if crate::integrate::kernel::kernel_avx2::brick(self, brick, weights, octants, cells) {
             return;
         }
         self.brick_scalar(brick, weights, octants, cells);

@@ -3,14 +3,20 @@
 //! A scan that looks one way becomes one pinhole image, any other the six faces of a cube. Pixels
 //! are as fine as the measurements are dense, but no finer than half a typical cell.
 
-use super::IntegrationConfig;
-use super::chunks::Chunk;
-use super::depth_image::range_image;
-use super::samples::point_images;
-use super::slope::band_by_slope;
-use super::windows::higher;
+pub(crate) mod chunks;
+mod depth_image;
+mod samples;
+mod slope;
+pub(crate) mod windows;
+
 use crate::error::MapError;
 use crate::for_avx2::for_avx2;
+use crate::integrate::IntegrationConfig;
+use crate::integrate::image::chunks::Chunk;
+use crate::integrate::image::depth_image::range_image;
+use crate::integrate::image::samples::point_images;
+use crate::integrate::image::slope::band_by_slope;
+use crate::integrate::image::windows::higher;
 use crate::scan::Scan;
 use crate::sensor::table::{KnownTables, TableSet};
 
@@ -255,7 +261,7 @@ impl Filling {
     }
 
     /// Adds measurements.
-    pub(super) fn vote_all(&mut self, chunk: &Chunk, tables: &mut TableSet) {
+    fn vote_all(&mut self, chunk: &Chunk, tables: &mut TableSet) {
         let mut pixels = [0; Chunk::LEN];
         pixels_of(&self.image, chunk, &mut pixels);
         let (pixels, ranges) = (&pixels[..chunk.len], &chunk.ranges[..chunk.len]);

@@ -4,12 +4,19 @@
 //! handed to the shards of their bricks, and each shard takes them ray by ray in the order in which
 //! `beam` has them (`visits`). Rays begin where the first cell lies that they could change (`saturated`).
 
-use super::batches::Walk;
-use super::beam::{Beams, Beginnings};
-use super::parallel::for_each;
-use super::saturated::BeamTiles;
-use super::{IntegrationConfig, IntegrationReport};
+mod batches;
+pub(crate) mod beam;
+pub(crate) mod pyramid;
+pub(crate) mod ray;
+pub(crate) mod saturated;
+mod visits;
+
 use crate::error::MapError;
+use crate::integrate::parallel::for_each;
+use crate::integrate::rays::batches::Walk;
+use crate::integrate::rays::beam::{Beams, Beginnings};
+use crate::integrate::rays::saturated::BeamTiles;
+use crate::integrate::{IntegrationConfig, IntegrationReport};
 use crate::key::{BRICK_EDGE, BrickKey};
 use crate::map::OccupancyMap;
 use crate::scan::Scan;
@@ -219,7 +226,7 @@ impl OccupancyMap {
 mod tests {
     use super::*;
     use crate::integrate::IntegrationRule;
-    use crate::integrate::beam::Measured;
+    use crate::integrate::rays::beam::Measured;
     use crate::map::MapConfig;
     use crate::scan::{PointScan, PoseSigma, ScanData, Similarity};
     use crate::storage::{hash, shard_of};

@@ -1,7 +1,7 @@
 //! A complete depth image as a range image: pixel by pixel in their order, without a list of measurements.
 
-use super::chunks::{RangeModel, WIDEST_SLOPE};
-use super::image::{Filling, PIXELS_PER_CELL, RangeImage};
+use crate::integrate::image::chunks::{RangeModel, WIDEST_SLOPE};
+use crate::integrate::image::{Filling, PIXELS_PER_CELL, RangeImage};
 use crate::scan::{DepthImage, Scan, ScanData};
 use crate::sensor::table::TableSet;
 

@@ -3,9 +3,9 @@
 //! The loops over eight lanes here define the result; `octants_avx2` computes the same bits with a
 //! vector.
 
-use super::image::RangeImage;
-use super::kernel::{EIGHT_SAMPLES, FOUR_SAMPLES, SINGLE_SAMPLE_PX};
-use super::windows::{Windows, higher, lower};
+use crate::integrate::image::RangeImage;
+use crate::integrate::image::windows::{Windows, higher, lower};
+use crate::integrate::kernel::{EIGHT_SAMPLES, FOUR_SAMPLES, SINGLE_SAMPLE_PX};
 
 /// Octants of a cube as bits: bit `x | y << 1 | z << 2`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -346,7 +346,7 @@ mod tests {
                     half: CELL * (1 << (i % 8)) as f32,
                 };
                 let expected = view.judge(cube);
-                let Some(found) = super::super::octants_avx2::judge(view, cube) else {
+                let Some(found) = crate::integrate::fused::octants_avx2::judge(view, cube) else {
                     eprintln!("SKIPPED: this processor has no AVX2");
                     return;
                 };

@@ -7,8 +7,8 @@
 //! there. It only leaves out updates that change nothing, so the map is that of every ray walked
 //! from the sensor.
 
-use super::beam::Beams;
-use super::pyramid::{Bounds, Pyramid};
+use crate::integrate::rays::beam::Beams;
+use crate::integrate::rays::pyramid::{Bounds, Pyramid};
 use crate::key::{BRICK_CELLS, VoxelKey};
 use crate::map::OccupancyMap;
 use crate::scan::Scan;

@@ -1,10 +1,10 @@
 //! The rule `fused`, second step: the updates of a brick, and the brick with them.
 
-use super::footprint::Footprints;
-use super::kernel::Weights;
-use super::octants::Cube;
-use super::search::{Update, relative_center};
 use crate::evidence::UpdateRule;
+use crate::integrate::fused::footprint::Footprints;
+use crate::integrate::fused::octants::Cube;
+use crate::integrate::fused::search::{Update, relative_center};
+use crate::integrate::kernel::Weights;
 use crate::key::{BRICK_CELLS, BrickKey};
 use crate::storage::{BrickRef, Shard, hash};
 

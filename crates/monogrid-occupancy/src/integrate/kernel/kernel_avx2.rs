@@ -14,12 +14,12 @@
 
 use std::arch::x86_64::*;
 
-use super::block_avx2::{Block, Samples, VECTORS, put_octant, samples};
-use super::kernel::{
+use crate::integrate::fused::octants::Octants;
+use crate::integrate::kernel::block_avx2::{Block, Samples, VECTORS, put_octant, samples};
+use crate::integrate::kernel::{
     EIGHT_SAMPLES, FOUR_SAMPLES, FOUR_SAMPLES_PX, Kernel, Placed, SINGLE_SAMPLE_PX, TableRow,
     Weights, bits_of, sum,
 };
-use super::octants::Octants;
 use crate::key::BRICK_CELLS;
 
 /// Evidence for the touched octants of a brick; `false`, and nothing done, if this processor has no AVX2, or the image has
@@ -429,9 +429,9 @@ fn scaled(sum: __m256i, factor: __m256) -> __m256i {
 
 #[cfg(test)]
 mod tests {
-    use super::super::kernel::cells_of;
-    use super::super::kernel::tests::random_case;
     use super::*;
+    use crate::integrate::kernel::cells_of;
+    use crate::integrate::kernel::tests::random_case;
 
     /// The octants of a brick of which no cell is as far as anything measured.
     fn clear_octants(brick: &Placed) -> u8 {

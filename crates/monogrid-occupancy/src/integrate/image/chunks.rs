@@ -2,10 +2,10 @@
 
 use std::ops::ControlFlow;
 
-use super::IntegrationConfig;
-use super::beam::total_sigma;
-use super::windows::{higher, lower};
 use crate::for_avx2::for_avx2;
+use crate::integrate::IntegrationConfig;
+use crate::integrate::image::windows::{higher, lower};
+use crate::integrate::rays::beam::total_sigma;
 use crate::scan::{PointScan, Scan, ScanData};
 
 /// A scan whose directions all lie within this slope of the forward axis is one image.

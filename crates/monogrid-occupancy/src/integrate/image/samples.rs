@@ -3,10 +3,10 @@
 //! How fine an image is depends on all measurements, so they are looked at twice. Points are converted again the second time, which takes
 //! less than to write them down and read them; pixels of a camera and the faces of a cube are kept.
 
-use super::IntegrationConfig;
-use super::chunks::{Chunk, Extent, RangeModel, Sample, extent_of};
-use super::image::{FORWARD, Filling, NARROWEST_SLOPES, PIXELS_PER_CELL, RangeImage};
-use super::parallel::for_each;
+use crate::integrate::IntegrationConfig;
+use crate::integrate::image::chunks::{Chunk, Extent, RangeModel, Sample, extent_of};
+use crate::integrate::image::{FORWARD, Filling, NARROWEST_SLOPES, PIXELS_PER_CELL, RangeImage};
+use crate::integrate::parallel::for_each;
 use crate::scan::{Scan, ScanData};
 use crate::sensor::table::TableSet;
 

@@ -5,7 +5,7 @@
 //! quarter of their edge for larger ones. Any box of pixels lies in one window little larger than
 //! itself, so one look tells what a block of cells can get from all pixels that it covers.
 
-use super::image::{HOLE, RangeImage};
+use crate::integrate::image::{HOLE, RangeImage};
 use crate::sensor::table::TableSet;
 
 /// Bounds of all windows of an image, level by level.
@@ -235,13 +235,13 @@ struct Reach {
 
 /// The smaller of two, as the vector instructions choose it: the second where they cannot be compared.
 #[inline]
-pub(super) fn lower(a: f32, b: f32) -> f32 {
+pub(crate) fn lower(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
 /// The larger of two, likewise.
 #[inline]
-pub(super) fn higher(a: f32, b: f32) -> f32 {
+pub(crate) fn higher(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 

@@ -3,10 +3,10 @@
 //! Cubes around the sensor are split only where the bounds of the image's windows cannot tell what
 //! their cells get.
 
-use super::footprint::Footprints;
-use super::octants::{Cube, Octants};
-use super::parallel::for_each;
-use super::rays::BrickFilter;
+use crate::integrate::fused::footprint::Footprints;
+use crate::integrate::fused::octants::{Cube, Octants};
+use crate::integrate::parallel::for_each;
+use crate::integrate::rays::BrickFilter;
 use crate::key::{BRICK_EDGE, BrickKey};
 use crate::storage::{SHARDS, hash, shard_of};
 

@@ -11,16 +11,23 @@
 //! of the present ones, and each shard is written scan by scan: the map is that of one scan after the
 //! other.
 
-use super::beam::origin_in_cells;
-use super::footprint::Footprints;
-use super::image::RangeImages;
-use super::parallel::for_each;
-use super::rays::BrickFilter;
-use super::search::{Search, Task, Update};
-use super::writer::Writer;
-use super::{IntegrationConfig, IntegrationReport};
+pub(crate) mod footprint;
+pub(crate) mod octants;
+#[cfg(target_arch = "x86_64")]
+mod octants_avx2;
+pub(crate) mod search;
+mod writer;
+
 use crate::error::MapError;
 use crate::evidence::Limits;
+use crate::integrate::fused::footprint::Footprints;
+use crate::integrate::fused::search::{Search, Task, Update};
+use crate::integrate::fused::writer::Writer;
+use crate::integrate::image::RangeImages;
+use crate::integrate::parallel::for_each;
+use crate::integrate::rays::BrickFilter;
+use crate::integrate::rays::beam::origin_in_cells;
+use crate::integrate::{IntegrationConfig, IntegrationReport};
 use crate::key::BrickKey;
 use crate::map::OccupancyMap;
 use crate::scan::Scan;
@@ -244,9 +251,9 @@ pub(crate) fn bricks_seen(
 }
 #[cfg(test)]
 mod tests {
-    use super::super::kernel::cells_of;
-    use super::super::search::relative_center;
     use super::*;
+    use crate::integrate::fused::search::relative_center;
+    use crate::integrate::kernel::cells_of;
     use crate::map::MapConfig;
     use crate::scan::{PointScan, PoseSigma, ScanData, Similarity};
     use crate::test_random::Random;

@@ -1,10 +1,12 @@
 //! The updates of the cells of a brick by the rule `fused`, and bounds of those of a whole cube.
 
-use super::image::{HOLE, RangeImage, RangeImages};
-use super::kernel::{FlatTables, Kernel, Placed, Weights, bits_of, cells_of, evidence, index_of};
-use super::kernel_image::KernelImage;
-use super::octants::{Cube, Octants, View};
-use super::windows::Windows;
+use crate::integrate::fused::octants::{Cube, Octants, View};
+use crate::integrate::image::windows::Windows;
+use crate::integrate::image::{HOLE, RangeImage, RangeImages};
+use crate::integrate::kernel::kernel_image::KernelImage;
+use crate::integrate::kernel::{
+    FlatTables, Kernel, Placed, Weights, bits_of, cells_of, evidence, index_of,
+};
 use crate::key::BRICK_CELLS;
 use crate::sensor::table::EvidenceTable;
 
@@ -186,7 +188,7 @@ impl Footprints {
             nearest: NEAREST_CELLS * self.resolution,
         };
         #[cfg(target_arch = "x86_64")]
-        if let Some(octants) = super::octants_avx2::judge(&view, cube) {
+        if let Some(octants) = crate::integrate::fused::octants_avx2::judge(&view, cube) {
             return octants;
         }
         view.judge(cube)

@@ -5,10 +5,10 @@
 //! every cell. (2) Each shard takes the visits in the order of the beams. A free visit of a brick that
 //! is saturated free ends with a look into the directory.
 
-use super::beam::{Beam, Beams, Beginnings, Measured};
-use super::ray::{CellVisitor, TIME_BITS};
-use super::rays::BrickFilter;
 use crate::evidence::UpdateRule;
+use crate::integrate::rays::BrickFilter;
+use crate::integrate::rays::beam::{Beam, Beams, Beginnings, Measured};
+use crate::integrate::rays::ray::{CellVisitor, TIME_BITS};
 use crate::key::{BRICK_CELLS, BrickKey};
 use crate::sensor::table::{EvidenceTable, TableSet};
 use crate::storage::{BrickRef, SHARDS, Shard, SlotIndex, hash, shard_of};
