@@ -5,7 +5,7 @@ use crate::process::interrupt::INTERRUPTED;
 use crate::process::print_json;
 use clap::{Args, ValueEnum};
 use monogrid_image::WorkingSize;
-use monogrid_slam::mapping::{AutoLength, IntegrationRule, SensorModelKind};
+use monogrid_mapping::{AutoLength, IntegrationRule, SensorModelKind};
 use monogrid_video::Patience;
 use serde::{Deserialize, Serialize};
 use std::num::NonZeroUsize;

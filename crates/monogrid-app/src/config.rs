@@ -4,9 +4,9 @@ use crate::args::{MappingArgs, Profile};
 use crate::process::failure::{Classify, Failure};
 use monogrid_datasets::read_file;
 use monogrid_image::WorkingSize;
+use monogrid_mapping::{MAPPING, MapQuality, MappingConfig};
 use monogrid_slam::SlamConfig;
-use monogrid_slam::mapping::{MapQuality, MappingConfig};
-use monogrid_slam::settings::{self, MAPPING, SLAM};
+use monogrid_slam::settings::{self, SLAM};
 use std::path::Path;
 use toml::{Table, Value};
 
@@ -302,7 +302,7 @@ mod manual;
 mod tests {
     use super::*;
     use crate::args::SensorModelArg;
-    use monogrid_slam::mapping::{AutoLength, SensorModelKind};
+    use monogrid_mapping::{AutoLength, SensorModelKind};
 
     fn message(failure: &Failure) -> String {
         match failure {

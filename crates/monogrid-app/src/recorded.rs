@@ -11,14 +11,14 @@ use monogrid_datasets::{
 };
 use monogrid_evaluation::View;
 use monogrid_geometry::Sim3;
+use monogrid_mapping::{
+    DepthOf, ImageOf, KeyframeCamera, KeyframeScan, MapStats, Mapper, MappingConfig, PosedKeyframe,
+    SceneCell, UprightView, camera_paths, final_scans, scene_cell,
+};
 use monogrid_occupancy::{MapError, OccupancyMap};
 use monogrid_report::colours::Colours;
 use monogrid_report::surface::{CellColours, ColouredScan};
 use monogrid_slam::TrackedFrame;
-use monogrid_slam::mapping::{
-    DepthOf, ImageOf, KeyframeCamera, KeyframeScan, MapStats, Mapper, MappingConfig, PosedKeyframe,
-    SceneCell, UprightView, camera_paths, final_scans, scene_cell,
-};
 use std::cell::OnceCell;
 use std::path::Path;
 

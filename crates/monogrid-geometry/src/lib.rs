@@ -11,6 +11,7 @@
 #![deny(missing_docs)]
 
 mod alignment;
+mod axes;
 mod camera;
 mod distortion;
 pub mod median;
@@ -21,6 +22,7 @@ mod sim3;
 mod so3;
 
 pub use alignment::{AlignmentError, SimilarityFit, align_similarity};
+pub use axes::z_up_from_camera_world;
 pub use camera::{Camera, CameraError, Pinhole};
 pub use distortion::{Distortion, LensError};
 pub use nalgebra;

@@ -2,8 +2,8 @@
 
 use crate::pipeline::PipelineError;
 use monogrid_geometry::{Sim3, Vec3};
+use monogrid_mapping::{KeyframeScan, LiveMaps, MappingConfig, Maps, camera_paths, final_scans_of};
 use monogrid_occupancy::MapError;
-use monogrid_slam::mapping::{KeyframeScan, LiveMaps, MappingConfig, Maps, camera_paths};
 use monogrid_slam::{MapSize, PoseSnapshot, SensedFrame, Slam, TrackedFrame, TrajectoryPose};
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
@@ -133,7 +133,7 @@ impl Finished {
             Some(Ok(_)) if !self.localise_only => {
                 let config = MappingConfig::thesis();
                 let done = AtomicUsize::new(0);
-                self.slam.final_scans(&config, self.threads, &done)
+                final_scans_of(&self.slam, &config, self.threads, &done)
             }
             _ => Vec::new(),
         }
@@ -146,7 +146,7 @@ impl Finished {
         match &self.maps {
             Some(Ok(maps)) if !self.localise_only => {
                 let config = maps.mapper().config();
-                self.slam.final_scans(config, self.threads, done)
+                final_scans_of(&self.slam, config, self.threads, done)
             }
             _ => Vec::new(),
         }

@@ -2,8 +2,8 @@
 
 use crate::clock::{give_way, thread_cpu};
 use monogrid_geometry::Sim3;
+use monogrid_mapping::{KeyframeCamera, LiveMaps, MapReader, Waiting};
 use monogrid_occupancy::MapError;
-use monogrid_slam::mapping::{KeyframeCamera, LiveMaps, MapReader, Waiting};
 use monogrid_slam::{Event, InertialPath, fault};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};

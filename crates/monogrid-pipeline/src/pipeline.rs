@@ -11,10 +11,10 @@ use crate::source::{FrameSource, ReadFrame, ReadOn, Reading, read_ahead};
 use monogrid_geometry::{Camera, Sim3};
 use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
 use monogrid_inertial::{Imu, ImuSample};
-use monogrid_occupancy::{MapError, OccupancyMap};
-use monogrid_slam::mapping::{
+use monogrid_mapping::{
     KeyframeCamera, LiveMaps, MapReader, Mapper, MappingConfig, z_up_from_camera_world,
 };
+use monogrid_occupancy::{MapError, OccupancyMap};
 use monogrid_slam::{
     Effort, FrameInput, FrameReport, Purpose, Slam, SlamConfig, SpillError, StoredMap, Told,
 };

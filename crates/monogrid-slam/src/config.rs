@@ -91,7 +91,7 @@ impl SlamConfig {
     /// # Errors
     /// The first setting outside its range.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        crate::settings::check_slam(self)
+        crate::settings::SLAM.check(self)
     }
 }
 

@@ -104,8 +104,7 @@ impl SensedFrame {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mapping::z_up_from_camera_world;
-    use monogrid_geometry::{Se3, rotation_exp};
+    use monogrid_geometry::{Se3, rotation_exp, z_up_from_camera_world};
     use monogrid_inertial::{GRAVITY_M_S2, ImuNoise, ImuSample};
 
     /// A camera that swings along all of its axes, pitched by `tilt` rad; its world has units of `unit` metres.

@@ -3,7 +3,7 @@
 use crate::map::KeyframeImage;
 use crate::store::{Kept, Store};
 use crate::{FragmentId, MAIN_MAP};
-use monogrid_geometry::{Mat7, Se3, Sim3};
+use monogrid_geometry::{Mat7, Pinhole, Se3, Sim3, Vec2};
 use monogrid_image::Image;
 
 /// Identity of a keyframe; never reused, counted from 0.
@@ -11,6 +11,36 @@ pub type KeyframeId = u32;
 
 /// Published inverse depth of one keyframe pixel.
 pub type DepthPixel = monogrid_alignment::DepthSample;
+
+/// Camera of the keyframes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KeyframeCamera {
+    /// Intrinsics.
+    pub pinhole: Pinhole,
+    /// Width of the images, px.
+    pub width: usize,
+    /// Height of the images, px.
+    pub height: usize,
+}
+
+impl KeyframeCamera {
+    /// A camera without distortion, with images of this width and height.
+    #[must_use]
+    pub fn new(pinhole: Pinhole, (width, height): (usize, usize)) -> Self {
+        Self {
+            pinhole,
+            width,
+            height,
+        }
+    }
+
+    /// Whether a pixel lies in its images.
+    #[must_use]
+    pub fn contains(&self, pixel: &Vec2) -> bool {
+        let (width, height) = (self.width as f64, self.height as f64);
+        (0.0..width).contains(&pixel.x) && (0.0..height).contains(&pixel.y)
+    }
+}
 
 /// A finished keyframe: immutable except for its depth, whose revision then grows.
 #[derive(Clone, Debug)]
@@ -83,6 +113,12 @@ impl KeptKeyframe {
     #[must_use]
     pub fn pixels(&self) -> Option<Vec<DepthPixel>> {
         Some(self.pixels.get()?.to_vec())
+    }
+
+    /// What keeps them.
+    #[must_use]
+    pub fn store(&self) -> &Store {
+        self.pixels.store()
     }
 
     /// All of it; `None` where it cannot be read back.

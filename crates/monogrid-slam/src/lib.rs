@@ -3,7 +3,7 @@
 //! Flow: [`Slam::process_frame`] takes one working image after the other → direct tracking against
 //! the current keyframe → the keyframe's semi-dense depth is refined, or the frame becomes the next
 //! keyframe → a sparse layer of points seen from several keyframes is adjusted, which holds pose
-//! and scale → finished [`Keyframe`]s and a [`PoseSnapshot`] go to [`mapping`].
+//! and scale → finished [`Keyframe`]s and a [`PoseSnapshot`] are what maps are made of.
 //!
 //! Conventions: the world is the first keyframe's camera frame. A keyframe has its own unit of
 //! length (median inverse depth about 1); `world_from_keyframe.scale` is that unit in world units.
@@ -23,13 +23,12 @@ mod graph;
 mod inertial_path;
 mod keyframe;
 mod map;
-pub mod mapping;
 mod policy;
 mod report;
 pub mod settings;
 mod sparse;
 mod start;
-mod store;
+pub mod store;
 mod stored;
 mod system;
 #[cfg(test)]
@@ -51,8 +50,8 @@ pub use graph::{
 };
 pub use inertial_path::{InertialPath, SensedFrame};
 pub use keyframe::{
-    DepthPixel, KeptKeyframe, Keyframe, KeyframeId, PoseSnapshot, Scale, TrackedFrame,
-    TrajectoryPose,
+    DepthPixel, KeptKeyframe, Keyframe, KeyframeCamera, KeyframeId, PoseSnapshot, Scale,
+    TrackedFrame, TrajectoryPose,
 };
 pub use map::{Counts, Event};
 pub use report::{

@@ -1,7 +1,7 @@
 //! Poses and depth images of another SLAM: `cargo run --example depth_and_poses -- FOLDER calibration.txt poses.txt map.ot`
 use monogrid::datasets::{Calibration, Dataset, SourceOptions, read_depth, read_trajectory};
+use monogrid::mapping::{KeyframeScan, Mapper, MappingConfig};
 use monogrid::occupancy::{save_atomically, write_ot};
-use monogrid::slam::mapping::{KeyframeScan, Mapper, MappingConfig};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [_, folder, calibration, poses, out] = &std::env::args().collect::<Vec<_>>()[..] else {

@@ -50,6 +50,7 @@ pub use monogrid_datasets as datasets;
 pub use monogrid_evaluation as evaluation;
 pub use monogrid_geometry as geometry;
 pub use monogrid_inertial as inertial;
+pub use monogrid_mapping as mapping;
 pub use monogrid_occupancy as occupancy;
 pub use monogrid_pipeline as pipeline;
 pub use monogrid_slam as slam;

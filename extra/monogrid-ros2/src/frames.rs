@@ -4,8 +4,8 @@
 //! closed, not when the scale is set, not when the map is thrown away. All of that goes into `map_from_odom`.
 
 use monogrid_geometry::{Rotation, Se3, Sim3, Vec3};
+use monogrid_mapping::z_up_from_camera_world;
 use monogrid_slam::FrameReport;
-use monogrid_slam::mapping::z_up_from_camera_world;
 
 /// How the camera sits on the robot: base_from_camera of the optical axes (x right, y down, z forward), m, from the place of
 /// the camera and the angles of its body (x forward, y left, z up) around x, y, z (roll, pitch, yaw; rad).

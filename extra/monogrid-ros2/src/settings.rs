@@ -2,8 +2,9 @@
 
 use anyhow::{Context, bail};
 use monogrid_image::WorkingSize;
+use monogrid_mapping::MAPPING;
 use monogrid_pipeline::Settings;
-use monogrid_slam::settings::{MAPPING, SLAM, apply};
+use monogrid_slam::settings::{SLAM, apply};
 use std::io::{Write, stderr};
 use std::path::Path;
 use toml::Table;

@@ -1,9 +1,9 @@
 //! The map at one moment, in metres, as it is published and saved.
 
 use monogrid_geometry::Se3;
+use monogrid_mapping::navigation_band;
 use monogrid_messages::builtin_interfaces::Time;
 use monogrid_occupancy::{MapError, Occupancy, OccupancyMap, Projection};
-use monogrid_slam::mapping::navigation_band;
 
 /// Sides of the grid are multiples of so many cells: a map that grows a little is sent as a change.
 const GRID_STEP: usize = 64;

@@ -3,10 +3,10 @@
 use futures::channel::oneshot;
 use monogrid_geometry::{Camera, Pinhole};
 use monogrid_inertial::ImuSample;
+use monogrid_mapping::MapReader;
 use monogrid_messages::builtin_interfaces::Time;
 use monogrid_messages::sensor_msgs::{CompressedImage, Image};
 use monogrid_messages::std_srvs::TriggerResponse;
-use monogrid_slam::mapping::MapReader;
 use monogrid_slam::{FrameReport, KeptKeyframe, PoseSnapshot, TrajectoryPose};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};

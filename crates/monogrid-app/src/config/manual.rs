@@ -5,7 +5,8 @@
 use super::RunConfig;
 use crate::args::Profile;
 use monogrid_image::WorkingSize;
-use monogrid_slam::settings::{MAPPING, SLAM, Settings};
+use monogrid_mapping::MAPPING;
+use monogrid_slam::settings::{SLAM, Settings};
 use std::fmt::{Display, Write};
 use std::path::Path;
 
@@ -57,7 +58,7 @@ fn row(key: &str, defaults: &str, ranges: &[String], meaning: &str, reason: &str
 
 fn sections<C>(settings: Settings<C>, of: fn(&RunConfig) -> &C, manual: &mut String) {
     let mut section = "";
-    for setting in settings {
+    for setting in settings.rows {
         let (own, key) = setting.name.rsplit_once('.').unwrap();
         if own != section {
             let _ = write!(

@@ -8,7 +8,7 @@ use crate::run::sensed::SensedFrame;
 use monogrid_datasets::{TimedPose, read_sim3, read_trajectory};
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
 use monogrid_geometry::{Se3, Sim3, Vec3};
-use monogrid_slam::mapping::{
+use monogrid_mapping::{
     Floor, UprightConfig, UprightView, floor_below, level_from_world, upright,
     z_up_from_camera_world,
 };

@@ -23,13 +23,13 @@ use crate::run::{MemoryLimit, RunSettings};
 use monogrid_datasets::TimedPose;
 use monogrid_evaluation::{DepthReport, MapReport};
 use monogrid_geometry::{Pinhole, Se3, Sim3, Vec3};
+use monogrid_mapping::{
+    ImageOf, KeyframeCamera, KeyframeScan, Maps, SceneCell, UprightView, scene_cell,
+};
 use monogrid_pipeline::attempt;
 use monogrid_report::colours::Colours;
 use monogrid_report::explorer::{SemiDense, ShownKeyframe};
 use monogrid_report::surface::{CellColours, ColouredScan};
-use monogrid_slam::mapping::{
-    ImageOf, KeyframeCamera, KeyframeScan, Maps, SceneCell, UprightView, scene_cell,
-};
 use monogrid_slam::{KeptKeyframe, TrackedFrame, TrajectoryPose};
 use rayon::prelude::*;
 use std::collections::BTreeMap;

@@ -5,9 +5,9 @@ use monogrid_datasets::{Calibration, read_gray};
 use monogrid_geometry::Camera;
 use monogrid_image::GrayImage;
 use monogrid_inertial::Imu;
+use monogrid_mapping::z_up_from_camera_world;
 use monogrid_occupancy::{OccupancyMap, write_ot};
 use monogrid_pipeline::{Event, Finished, Pipeline, Settings, SourceFrame, Unusable};
-use monogrid_slam::mapping::z_up_from_camera_world;
 use monogrid_worlds::{ImuConfig, SynthSequence, imu_samples};
 use std::fs;
 use std::ops::ControlFlow;
@@ -284,7 +284,7 @@ fn an_endless_camera_is_followed_until_its_listener_has_seen_enough() {
 #[test]
 fn what_goes_wrong_is_said_with_its_type() {
     let settings = Settings {
-        mapping: monogrid_slam::mapping::MappingConfig {
+        mapping: monogrid_mapping::MappingConfig {
             resolution: -1.0,
             ..Default::default()
         },

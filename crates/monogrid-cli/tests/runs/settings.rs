@@ -1,7 +1,8 @@
 //! Every number among the settings has a range that is checked and safe.
 
 use crate::common::{code, monogrid, small_sequence, stderr};
-use monogrid_slam::settings::{MAPPING, SLAM};
+use monogrid_mapping::MAPPING;
+use monogrid_slam::settings::SLAM;
 use rayon::prelude::*;
 use std::path::Path;
 

@@ -5,8 +5,8 @@ use crate::picture::base64;
 use crate::picture::colour::quantile;
 use monogrid_geometry::{Pinhole, Sim3, Vec2};
 use monogrid_image::luma_of_rgb;
+use monogrid_mapping::{KeyframeCamera, KeyframeScan};
 use monogrid_occupancy::DepthPixel as Measurement;
-use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan};
 use monogrid_slam::{DepthPixel, KeyframeId};
 use serde::Serialize;
 

@@ -7,7 +7,7 @@ use crate::picture::{base64, shrink};
 use monogrid_datasets::{encode_jpeg, encode_jpeg_rgb};
 use monogrid_geometry::{Pinhole, Sim3};
 use monogrid_image::Image;
-use monogrid_slam::mapping::ImageOf;
+use monogrid_mapping::ImageOf;
 use rayon::prelude::*;
 use std::borrow::Cow;
 

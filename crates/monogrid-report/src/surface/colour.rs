@@ -3,8 +3,8 @@
 use crate::colours::Colours;
 use crate::explorer::Look;
 use monogrid_geometry::{Sim3, Vec2};
+use monogrid_mapping::{ImageOf, KeyframeScan, MeshConfig};
 use monogrid_occupancy::{MapError, OccupancyMap, SurfaceMesh, VoxelKey};
-use monogrid_slam::mapping::{ImageOf, KeyframeScan, MeshConfig};
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 use std::ops::RangeInclusive;

@@ -1,9 +1,9 @@
 //! Which keyframes should see the same surfaces, predicted from their poses and depths.
 
 use super::GraphConfig;
+use crate::KeyframeCamera;
 use crate::KeyframeId;
 use crate::map::View;
-use crate::mapping::KeyframeCamera;
 use monogrid_alignment::DepthSample;
 use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 use std::sync::Arc;

@@ -1,7 +1,7 @@
 //! A keyframe with everything that is known about it.
 
 use super::points::SeenPoints;
-use crate::mapping::KeyframeCamera;
+use crate::KeyframeCamera;
 use crate::store::{Kept, Store};
 use crate::{FragmentId, KeptKeyframe, KeyframeId};
 use monogrid_alignment::DepthSample;

@@ -1,22 +1,20 @@
 //! The public settings: which parameters a user may change, in which range, and why.
 //!
-//! [`SlamConfig`] and [`MappingConfig`] hold all parameters; most of them follow from a profile and
-//! stay as they are. Those listed here are read from files and `--set`, written to `config.toml`,
-//! and described in docs/configuration.md. A row is the only place that makes a parameter public.
+//! Parameter structs such as [`SlamConfig`] hold all parameters; most of them follow from a profile
+//! and stay as they are. Those listed in a [`Settings`] are read from files and `--set`, written to
+//! `config.toml`, and described in docs/configuration.md. A row is the only place that makes a
+//! parameter public. [`SLAM`] is the list of this crate; `monogrid-mapping` has another.
 
-mod mapping;
-mod old;
 mod slam;
 mod value;
 
-use crate::mapping::MappingConfig;
-use crate::{ConfigError, SlamConfig};
-use old::is_old;
+use crate::ConfigError;
+#[cfg(doc)]
+use crate::SlamConfig;
 use toml::{Table, Value};
-use value::{of_value, to_value};
 
-pub use mapping::MAPPING;
 pub use slam::SLAM;
+pub use value::{SettingValue, of_word, other, to_word};
 
 /// A parameter that users may change.
 pub struct Setting<C: 'static> {
@@ -30,12 +28,28 @@ pub struct Setting<C: 'static> {
     pub meaning: &'static str,
     /// Why a user would change it, in a sentence.
     pub reason: &'static str,
-    get: fn(&C) -> Value,
-    set: fn(&mut C, &Value) -> Result<(), String>,
+    /// Reads its value.
+    pub get: fn(&C) -> Value,
+    /// Changes it; an error says what was found and what is expected.
+    pub set: fn(&mut C, &Value) -> Result<(), String>,
 }
 
 /// The public settings of a parameter struct.
-pub type Settings<C> = &'static [Setting<C>];
+pub struct Settings<C: 'static> {
+    /// A row for each.
+    pub rows: &'static [Setting<C>],
+    /// Sections, and the names that are gone from each, between spaces; a name stands for all below
+    /// it. Files and `--set` may still name them for one version; they have no effect.
+    pub old: &'static [(&'static str, &'static str)],
+}
+
+impl<C> Clone for Settings<C> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<C> Copy for Settings<C> {}
 
 /// A value that cannot be taken over.
 #[derive(Debug, thiserror::Error, Clone, PartialEq, Eq)]
@@ -58,25 +72,33 @@ pub enum SettingError {
     },
 }
 
-/// Rows `place: unit, ranges, meaning, reason;` of a parameter struct; the name of a row is its
-/// place, so that none can be confused.
+/// [`Settings`] of rows `place => unit, ranges, meaning, reason;` of a parameter struct, after the
+/// names that are gone; the name of a row is its place, so that none can be confused. Rows without
+/// ranges are words, switches and names.
+#[macro_export]
 macro_rules! settings {
-    ($config:ident: $type:ty, $($place:expr => $unit:literal, [$($range:expr),*], $meaning:literal, $reason:literal;)*) => {
-        &[$($crate::settings::Setting {
-            name: stringify!($place),
-            unit: $unit,
-            ranges: &[$($range),*],
-            meaning: $meaning,
-            reason: $reason,
-            get: |$config: &$type| $crate::settings::to_value(&$place),
-            set: |$config: &mut $type, value| {
-                $place = $crate::settings::of_value(value)?;
-                Ok(())
-            },
-        }),*]
+    ($config:ident: $type:ty, $old:expr, $($place:expr => $unit:literal, $ranges:tt, $meaning:literal, $reason:literal;)*) => {
+        $crate::settings::Settings {
+            rows: &[$($crate::settings::Setting {
+                name: stringify!($place),
+                unit: $unit,
+                ranges: &$ranges,
+                meaning: $meaning,
+                reason: $reason,
+                get: |$config: &$type| $crate::settings!(get $ranges &$place),
+                set: |$config: &mut $type, value| {
+                    $place = $crate::settings!(set $ranges value)?;
+                    Ok(())
+                },
+            }),*],
+            old: $old,
+        }
     };
+    (get [] $value:expr) => { $crate::settings::to_word($value) };
+    (get $ranges:tt $value:expr) => { $crate::settings::SettingValue::to_value($value) };
+    (set [] $value:expr) => { $crate::settings::of_word($value) };
+    (set $ranges:tt $value:expr) => { $crate::settings::SettingValue::of_value($value) };
 }
-pub(crate) use settings;
 
 impl<C> Setting<C> {
     /// The value in a configuration.
@@ -122,28 +144,36 @@ impl<C> Setting<C> {
     }
 }
 
-/// Checks that all settings are in their ranges.
-fn check<C>(settings: Settings<C>, config: &C) -> Result<(), ConfigError> {
-    settings
-        .iter()
-        .try_for_each(|setting| setting.check(config))
-}
+impl<C> Settings<C> {
+    /// The settings, in the order in which they are documented.
+    pub fn iter(&self) -> std::slice::Iter<'static, Setting<C>> {
+        self.rows.iter()
+    }
 
-/// Checks the ranges of tracking and depth.
-pub(crate) fn check_slam(slam: &SlamConfig) -> Result<(), ConfigError> {
-    check(SLAM, slam)
-}
+    /// Checks that all settings are in their ranges.
+    ///
+    /// # Errors
+    /// The first setting outside its range.
+    pub fn check(&self, config: &C) -> Result<(), ConfigError> {
+        self.iter().try_for_each(|setting| setting.check(config))
+    }
 
-/// Checks the ranges of maps.
-pub(crate) fn check_mapping(mapping: &MappingConfig) -> Result<(), ConfigError> {
-    check(MAPPING, mapping)
+    /// Whether a name was that of a setting or section, or of one below it.
+    fn is_old(&self, name: &str) -> bool {
+        self.old.iter().any(|(section, keys)| {
+            let rest = name.strip_prefix(section);
+            let rest = rest.and_then(|rest| rest.strip_prefix('.'));
+            let key = rest.and_then(|rest| rest.split('.').next());
+            key.is_some_and(|key| keys.split(' ').any(|old| old == key))
+        })
+    }
 }
 
 /// Section `section` of a configuration file: all settings, with the values that they have.
 #[must_use]
 pub fn to_table<C>(settings: Settings<C>, config: &C, section: &str) -> Table {
     let mut table = Table::new();
-    for setting in settings {
+    for setting in settings.rows {
         let mut path: Vec<&str> = below(setting.name, section).split('.').collect();
         let last = path.pop().unwrap_or_default();
         let mut inner = &mut table;
@@ -198,7 +228,7 @@ fn apply_at<C>(
             problem: format!("{problem}{}", setting.allowed()),
         });
     }
-    if is_old(name) {
+    if settings.is_old(name) {
         ignored.push(name.to_owned());
         return Ok(());
     }
@@ -231,6 +261,3 @@ fn known_beside<C>(settings: Settings<C>, name: &str) -> String {
     }
     known.join(", ")
 }
-
-#[cfg(test)]
-mod tests;

@@ -1,10 +1,10 @@
 //! The public settings of tracking and depth.
 
-use super::{Settings, settings};
-use crate::SlamConfig;
+use super::Settings;
+use crate::{SlamConfig, settings};
 
 /// The settings of the section `[slam]`.
-pub const SLAM: Settings<SlamConfig> = settings! { slam: SlamConfig,
+pub const SLAM: Settings<SlamConfig> = settings! { slam: SlamConfig, OLD,
     slam.initialization.mode => "", [],
         "How a run without given depth starts: from `two-view` geometry, or from `random` depth as LSD-SLAM.",
         "`random` repeats LSD-SLAM.";
@@ -127,3 +127,92 @@ pub const SLAM: Settings<SlamConfig> = settings! { slam: SlamConfig,
         "Image pyramids of keyframes in memory. Others are made again. No result depends on it.",
         "Raise it for speed, lower it on small computers.";
 };
+
+/// Names that earlier versions had.
+const OLD: &[(&str, &str)] = &[
+    (
+        "slam.depth",
+        "ambiguity_ratio backoff crop_to_far_end failure_inflation fill_relative_var floor_px \
+         frame_choice line_sigma_px mature_validity max_create_search_px \
+         max_disagreement_sigma max_gain_ratio max_idepth max_residual_sigmas \
+         max_scale_change max_smoothing_gain max_update_search_px max_var min_line_cosine \
+         min_line_gradient min_support_fill min_support_keep min_support_share \
+         near_search_factor occlusion_support photometric_factor propagate_subpixel \
+         propagation_inflation propagation_relative_sigma remove_mean residual_gradient_share \
+         search_sigmas selection slope_per_px smoothing_per_px success_inflation \
+         validity_created validity_gain validity_loss validity_max validity_per_gradient \
+         variance verify_interval",
+    ),
+    (
+        "slam.fragments",
+        "bridge_frames max_bridge_scale_sigma max_bridge_turn_deg max_disagreement \
+         min_agreeing min_bridge_frames",
+    ),
+    (
+        "slam.graph",
+        "direct_edges max_distance_ratio max_iterations max_nearest_distance max_overlapping \
+         max_view_angle_deg min_nearest_overlap min_overlap nearest odometry_scale_sigma \
+         similarity sparse_edges switch_chi_sq",
+    ),
+    (
+        "slam.graph.places",
+        "drift max_loops min_keyframes_between min_lost_frames",
+    ),
+    (
+        "slam.inertial",
+        "join_position_sigma_m max_frames max_join_position_share max_join_scale_sigma \
+         min_secs",
+    ),
+    (
+        "slam.initialization",
+        "min_displacement patient_frames reference_displacement sigma_px",
+    ),
+    (
+        "slam.keyframes",
+        "min_good_of_visible min_holding_points min_mapped_frames min_relative_baseline \
+         old_keyframes_observed ramp_keyframes urgent_good_of_visible urgent_usage",
+    ),
+    (
+        "slam.keyframes.reactivation",
+        "crowd crowded_max_disagreement crowded_max_score first_keyframe max_candidates \
+         max_disagreement max_predicted_score max_score min_good_usage min_keyframes_between",
+    ),
+    (
+        "slam.keyframes.refinement",
+        "first_frames max_passed_distance",
+    ),
+    ("slam.merge", "min_aligned min_majority"),
+    ("slam.publication", "relative_sigma sigma_factor smoothed"),
+    (
+        "slam.sparse",
+        "back_search_keyframes cell_px drop_after_keyframes final_iterations final_radius_px \
+         kernel_px max_chi_sq max_distance_ratio max_iterations max_searched_points \
+         max_view_angle_deg min_pose_points min_shared_points min_spacing pose_sigma_px \
+         search_radius_px sigma_px window_covisible",
+    ),
+    (
+        "slam.sparse.images",
+        "independent_pixels kernel max_iterations min_correlation min_keyframes noise",
+    ),
+    (
+        "slam.tracking",
+        "accept_good_of_visible accept_visible_share degraded_good_of_visible doubtful_frames \
+         doubtful_residual doubtful_sigma max_relative_sigma min_correlation \
+         min_good_of_visible min_good_share min_holding_points min_points \
+         min_reference_points min_validity min_visible_share motion_hypotheses \
+         retry_correlation return_correlation return_good_of_visible return_max_log_gain \
+         return_near_frames return_usage smoothed_depth surprising_log_gain surprising_motion",
+    ),
+    (
+        "slam.tracking.alignment",
+        "coarsest_level contrast_weight finest_level max_iterations max_residual \
+         max_residual_per_gradient min_cost_decrease min_step_sq pixels_per_measurement \
+         robust sigma_intensity",
+    ),
+    (
+        "slam.tracking.points",
+        "alignment_sigma_factor max_error_px max_jump max_points min_correlation \
+         min_inlier_share min_inliers near_radius_px probe_error_px probe_points \
+         search_radius_px",
+    ),
+];

@@ -1,14 +1,10 @@
 //! Values of settings as they stand in files.
 
-use crate::mapping::{
-    AndertForm, AutoLength, IntegrationRule, MapQuality, SensorModelKind, SigmaMode, ThrunForm,
-};
-use crate::{InitializationMode, PlaceMethod};
-use monogrid_alignment::Brightness;
-use std::path::PathBuf;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use toml::Value;
 
-/// A type that a setting may have.
+/// A type of numbers that a setting may have.
 pub trait SettingValue: Sized {
     /// As it stands in a file.
     fn to_value(&self) -> Value;
@@ -20,15 +16,22 @@ pub trait SettingValue: Sized {
     fn of_value(value: &Value) -> Result<Self, String>;
 }
 
-pub(super) fn to_value<T: SettingValue>(value: &T) -> Value {
-    value.to_value()
+/// A word, a switch or a name as it stands in a file.
+pub fn to_word<T: Serialize>(value: &T) -> Value {
+    Value::try_from(value).unwrap_or_else(|_| Value::String(String::new()))
 }
 
-pub(super) fn of_value<T: SettingValue>(value: &Value) -> Result<T, String> {
-    T::of_value(value)
+/// A word, a switch or a name from a file.
+///
+/// # Errors
+/// What was found and what is expected.
+pub fn of_word<T: DeserializeOwned>(value: &Value) -> Result<T, String> {
+    let word = value.clone().try_into();
+    word.map_err(|error: toml::de::Error| error.message().to_owned())
 }
 
-fn other(value: &Value, expected: &str) -> String {
+/// The end of a sentence on a value that is none.
+pub fn other(value: &Value, expected: &str) -> String {
     format!("found {value}, expected {expected}")
 }
 
@@ -73,51 +76,6 @@ macro_rules! whole {
     )*};
 }
 whole!(usize, u32, u8);
-
-/// Words, switches and names, as they are written elsewhere.
-macro_rules! words {
-    ($($type:ty),*) => {$(
-        impl SettingValue for $type {
-            fn to_value(&self) -> Value {
-                Value::try_from(self).unwrap_or_else(|_| Value::String(String::new()))
-            }
-
-            fn of_value(value: &Value) -> Result<Self, String> {
-                value.clone().try_into().map_err(|error: toml::de::Error| error.message().to_owned())
-            }
-        }
-    )*};
-}
-words!(
-    bool,
-    PathBuf,
-    AndertForm,
-    Brightness,
-    InitializationMode,
-    IntegrationRule,
-    MapQuality,
-    PlaceMethod,
-    SensorModelKind,
-    SigmaMode,
-    ThrunForm
-);
-
-impl SettingValue for AutoLength {
-    fn to_value(&self) -> Value {
-        match self {
-            Self::Auto => Value::String("auto".to_owned()),
-            Self::Fixed(length) => length.to_value(),
-        }
-    }
-
-    fn of_value(value: &Value) -> Result<Self, String> {
-        if value.as_str() == Some("auto") {
-            return Ok(Self::Auto);
-        }
-        let length = f64::of_value(value).map(Self::Fixed);
-        length.map_err(|_| other(value, "a number or \"auto\""))
-    }
-}
 
 impl<T: SettingValue> SettingValue for [T; 2] {
     fn to_value(&self) -> Value {

@@ -17,10 +17,10 @@ mod shelves;
 mod tests;
 
 use self::packed::pack_any;
-pub(crate) use self::packed::{Keepable, Measured};
+pub use self::packed::{Keepable, Measured};
 use self::shelves::Shelves;
 pub use self::shelves::SpillError;
-pub(crate) use self::shelves::StoreBytes;
+pub use self::shelves::StoreBytes;
 use crate::config::MemoryConfig;
 use std::any::Any;
 use std::fs::File;
@@ -28,11 +28,11 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Values that are kept, shared by all that use them.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Store(Arc<Mutex<Shelves>>);
+pub struct Store(Arc<Mutex<Shelves>>);
 
 /// A value that is kept as long as somebody holds this.
 #[derive(Debug)]
-pub(crate) struct Kept<T>(Arc<Ticket<T>>);
+pub struct Kept<T>(Arc<Ticket<T>>);
 
 /// How a value that has left memory comes back.
 enum Origin<T> {
@@ -50,31 +50,31 @@ struct Ticket<T> {
 
 impl Store {
     /// With as much room as the settings say.
-    pub(crate) fn new(config: &MemoryConfig) -> Self {
+    pub fn new(config: &MemoryConfig) -> Self {
         let store = Self::default();
         store.resize(config);
         store
     }
 
     /// Has as much room as these settings say from now on.
-    pub(crate) fn resize(&self, config: &MemoryConfig) {
+    pub fn resize(&self, config: &MemoryConfig) {
         self.shelves().resize(config);
     }
 
     /// Lets values of their own leave memory for a file, which is overwritten.
-    pub(crate) fn spill_into(&self, file: File) {
+    pub fn spill_into(&self, file: File) {
         self.shelves().spill_into(file);
     }
 
     /// Keeps a value.
-    pub(crate) fn keep<T: Keepable>(&self, value: T) -> Kept<T> {
+    pub fn keep<T: Keepable>(&self, value: T) -> Kept<T> {
         let bytes = value.bytes();
         let number = self.shelves().keep(Arc::new(value), bytes, pack_any::<T>);
         self.kept(number, Origin::Own(T::unpack))
     }
 
     /// A value that follows from others and is made when somebody asks for it.
-    pub(crate) fn derive<T: Measured>(
+    pub fn derive<T: Measured>(
         &self,
         make: impl Fn() -> Option<T> + Send + Sync + 'static,
     ) -> Kept<T> {
@@ -83,12 +83,12 @@ impl Store {
     }
 
     /// Bytes of its values.
-    pub(crate) fn bytes(&self) -> StoreBytes {
+    pub fn bytes(&self) -> StoreBytes {
         self.shelves().bytes()
     }
 
     /// What went wrong with the file first, if anything did.
-    pub(crate) fn failure(&self) -> Option<String> {
+    pub fn failure(&self) -> Option<String> {
         self.shelves().failure.clone()
     }
 
@@ -96,7 +96,7 @@ impl Store {
     ///
     /// # Errors
     /// A value could not be read back, and what was made without it is wrong.
-    pub(crate) fn check(&self) -> Result<(), SpillError> {
+    pub fn check(&self) -> Result<(), SpillError> {
         self.shelves().lost.clone().map_or(Ok(()), Err)
     }
 
@@ -123,7 +123,7 @@ impl<T> Clone for Kept<T> {
 
 impl<T> Kept<T> {
     /// What keeps it.
-    pub(crate) fn store(&self) -> &Store {
+    pub fn store(&self) -> &Store {
         &self.0.store
     }
 }
@@ -131,7 +131,7 @@ impl<T> Kept<T> {
 impl<T: Measured> Kept<T> {
     /// The value; `None` where it, or what it follows from, cannot be read back from the file. The store remembers that
     /// ([`Store::failure`]).
-    pub(crate) fn get(&self) -> Option<Arc<T>> {
+    pub fn get(&self) -> Option<Arc<T>> {
         let ticket = &*self.0;
         let found = ticket.store.shelves().find(ticket.number);
         if let Some(value) = found {

@@ -10,13 +10,13 @@ use std::any::Any;
 use std::sync::Arc;
 
 /// A value of which is known what it takes.
-pub(crate) trait Measured: Send + Sync + 'static {
+pub trait Measured: Send + Sync + 'static {
     /// Memory, bytes.
     fn bytes(&self) -> usize;
 }
 
 /// A value that can be written and read again: often, since little is in memory, so that pixels are copied and not encoded.
-pub(crate) trait Keepable: Measured + Sized {
+pub trait Keepable: Measured + Sized {
     /// As bytes.
     fn pack(&self) -> Vec<u8>;
 
@@ -36,9 +36,11 @@ type Packed = (u16, u16, f32, f32);
 const PIXEL: usize = 12;
 
 /// A pixel of which many are kept together, row-major.
-pub(crate) trait Pixel: Copy + Send + Sync + 'static {
+pub trait Pixel: Copy + Send + Sync + 'static {
+    /// As it is written.
     fn packed(self) -> Packed;
 
+    /// The pixel that was written.
     fn unpacked(packed: Packed) -> Self;
 }
 

@@ -14,7 +14,7 @@ pub(super) type Pack = fn(&(dyn Any + Send + Sync)) -> Option<Vec<u8>>;
 
 /// Bytes of what is kept.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct StoreBytes {
+pub struct StoreBytes {
     /// Values of their own that are in memory.
     pub own: usize,
     /// Values that were made of others, and are in memory.

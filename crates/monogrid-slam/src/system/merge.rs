@@ -7,8 +7,8 @@
 use super::points::adjust_whole;
 use super::sessions::{restored, stored};
 use super::setup::Setup;
+use crate::KeyframeCamera;
 use crate::graph::{GraphJob, KeyframeGraph};
-use crate::mapping::KeyframeCamera;
 use crate::sparse::shared_points;
 use crate::store::Store;
 use crate::stored::{ContinueError, StoredKeyframe, StoredMap, StoredPoint};

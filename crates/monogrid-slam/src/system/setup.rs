@@ -1,9 +1,9 @@
 //! What does not change while a system runs.
 
+use crate::KeyframeCamera;
 use crate::SlamConfig;
 use crate::frame::{BufferedFrame, Frame, FrameInput};
 use crate::map::NUM_LEVELS;
-use crate::mapping::KeyframeCamera;
 use monogrid_alignment::Target;
 use monogrid_depth::HostFrame;
 use monogrid_geometry::{Pinhole, Rotation, Vec3};

@@ -7,14 +7,13 @@ use super::setup::Setup;
 use crate::frame::BufferedFrame;
 use crate::graph::GraphStats;
 use crate::map::{Counts, Event, Map, parts};
-use crate::mapping::{KeyframeScan, MappingConfig, PosedKeyframe, final_scans_of};
 use crate::report::Stopwatch;
 use crate::start::Start;
 use crate::store::SpillError;
 use crate::store::Store;
 use crate::{
-    Bridge, Fragment, FragmentId, InertialPath, KeptKeyframe, KeyframeId, MAIN_MAP, MapSize,
-    MemoryConfig, PoseSnapshot, Scale, SlamConfig, SlamError, TrajectoryPose,
+    Bridge, Fragment, FragmentId, InertialPath, KeptKeyframe, KeyframeCamera, KeyframeId, MAIN_MAP,
+    MapSize, MemoryConfig, PoseSnapshot, Scale, SlamConfig, SlamError, TrajectoryPose,
 };
 use monogrid_geometry::{Mat7, Pinhole};
 use monogrid_graph::RobustKernel;
@@ -23,7 +22,6 @@ use monogrid_image::Mask;
 use monogrid_inertial::{Imu, ImuSample};
 use std::fs::File;
 use std::sync::Arc;
-use std::sync::atomic::AtomicUsize;
 
 /// Direct semi-dense monocular SLAM.
 #[derive(Debug)]
@@ -197,21 +195,16 @@ impl Slam {
         self.map.store().check()
     }
 
-    /// The depth of all finished keyframes as it is mapped in the end ([`crate::mapping::final_scans`]) at the newest poses, by identity; it
-    /// lies where there is room. `done` grows with every keyframe, for those who wait.
+    /// The camera of its keyframes.
     #[must_use]
-    pub fn final_scans(
-        &self,
-        config: &MappingConfig,
-        threads: usize,
-        done: &AtomicUsize,
-    ) -> Vec<KeyframeScan> {
-        let finished = self.keyframes();
-        let poses = self.map.snapshot();
-        let keyframes = finished.iter().map(|k| PosedKeyframe::kept(k, poses));
-        let keyframes: Vec<PosedKeyframe> = keyframes.collect();
-        let (camera, store) = (self.setup.camera(), self.map.store());
-        final_scans_of(&keyframes, &camera, config, threads, (store, done))
+    pub fn camera(&self) -> KeyframeCamera {
+        self.setup.camera()
+    }
+
+    /// Where its keyframes lie, with room for what is made of them.
+    #[must_use]
+    pub fn store(&self) -> &Store {
+        self.map.store()
     }
 
     /// The newest poses of all keyframes.

@@ -9,8 +9,8 @@ use monogrid_app::process::usage::thread_cpu;
 use monogrid_app::recorded::Recorded;
 use monogrid_evaluation::MapEvaluator;
 
+use monogrid_mapping::{KeyframeScan, Mapper, MappingConfig};
 use monogrid_occupancy::{MapError, OccupancyMap, write_bt, write_ot};
-use monogrid_slam::mapping::{KeyframeScan, Mapper, MappingConfig};
 use std::io::{self, Write};
 use std::time::Duration;
 

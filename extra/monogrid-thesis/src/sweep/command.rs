@@ -23,7 +23,7 @@ use monogrid_app::run::align::{Align, Up};
 use monogrid_app::truth_map::{in_view, load_truth};
 use monogrid_datasets::Scale;
 use monogrid_evaluation::{MapEvaluationConfig, MapEvaluator, TruthGrid, whole_ratio};
-use monogrid_slam::mapping::KeyframeScan;
+use monogrid_mapping::KeyframeScan;
 use serde::Serialize;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};

@@ -7,10 +7,10 @@ use monogrid_app::process::failure::{Classify, Failure};
 use monogrid_datasets::{encode_png, encode_png_rgb};
 use monogrid_evaluation::TruthGrid;
 use monogrid_image::Image;
+use monogrid_mapping::{KeyframeScan, Mapper, MappingConfig};
 use monogrid_occupancy::{MapError, Occupancy, OccupancyMap, VoxelKey, log_odds_from_probability};
 use monogrid_report::picture::slice::{Window, slice};
 use monogrid_report::picture::voxels::{Cube, View, render_coloured};
-use monogrid_slam::mapping::{KeyframeScan, Mapper, MappingConfig};
 
 /// What is drawn of every map of a recording.
 #[derive(Clone, Debug)]

@@ -1,6 +1,6 @@
 //! What a sweep builds.
 
-use monogrid_slam::mapping::{AutoLength, MappingConfig, SensorModelKind};
+use monogrid_mapping::{AutoLength, MappingConfig, SensorModelKind};
 use serde::{Deserialize, Serialize};
 
 /// The thesis' resolutions, metres.

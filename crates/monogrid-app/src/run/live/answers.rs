@@ -2,11 +2,11 @@
 
 use super::{Known, Live, SeenFrame, lock};
 use monogrid_geometry::{Pinhole, Sim3};
+use monogrid_mapping::{KeyframeCamera, z_up_from_camera_world};
 use monogrid_report::explorer::{
     Answer, Camera, Cells, Cloud, CloudPoint, Keyframe, Look, PathPoint, SemiDense, small_jpeg,
 };
 use monogrid_report::picture::base64;
-use monogrid_slam::mapping::{KeyframeCamera, z_up_from_camera_world};
 use monogrid_slam::{DepthPixel, KeptKeyframe, Keyframe as SlamKeyframe};
 use serde::Serialize;
 use std::borrow::Cow;
@@ -187,8 +187,8 @@ mod tests {
     use super::super::{Map, is_recent};
     use super::*;
     use monogrid_image::Image;
+    use monogrid_mapping::MapReader;
     use monogrid_pipeline::Event;
-    use monogrid_slam::mapping::MapReader;
     use monogrid_slam::{KeptKeyframe, PoseSnapshot};
     use serde_json::Value;
     use std::sync::mpsc::sync_channel;

@@ -5,11 +5,11 @@ use crate::process::failure::{Classify, Failure};
 use crate::run::outputs::Paths;
 use crate::run::summary::unit_name;
 use monogrid_datasets::encode_png_rgb;
+use monogrid_mapping::{Maps, MeshConfig, navigation_band};
 use monogrid_occupancy::{MapFormat, OccupancyMap, Projection, VoxelKey, write_ply};
 use monogrid_report::picture::colour::quantile;
 use monogrid_report::picture::voxels::{Cube, View, dollhouse_cut, occupied_cubes, render};
 use monogrid_report::surface::{CellColours, ColouredMesh, MeshFormat};
-use monogrid_slam::mapping::{Maps, MeshConfig, navigation_band};
 
 /// Pictures of the final maps, as PNG files.
 #[derive(Debug)]

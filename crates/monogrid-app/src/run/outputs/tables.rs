@@ -11,7 +11,7 @@ use monogrid_datasets::{TimedPose, format_seconds, format_sim3, format_tum};
 use monogrid_geometry::{Se3, Sim3};
 use monogrid_graph::g2o;
 use monogrid_graph::pose_graph::PoseGraph;
-use monogrid_slam::mapping::z_up_from_camera_world;
+use monogrid_mapping::z_up_from_camera_world;
 use monogrid_slam::{FrameReport, TrajectoryPose};
 use std::fmt::Write;
 

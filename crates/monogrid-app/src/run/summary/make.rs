@@ -9,7 +9,7 @@ use crate::run::sessions::sessions;
 use crate::run::tracking::frames::{FrameFate, FrameRow};
 use crate::run::tracking::threads::Tracked;
 
-use monogrid_slam::mapping::Maps;
+use monogrid_mapping::Maps;
 use monogrid_slam::{KeyframeId, Scale, Slam};
 use std::collections::BTreeSet;
 

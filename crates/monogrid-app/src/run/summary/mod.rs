@@ -12,7 +12,7 @@ use crate::run::sensed::InertialSummary;
 use crate::run::tracking::frames::FrameRow;
 use monogrid_datasets::RecordedSession;
 use monogrid_evaluation::{DepthReport, MapReport, PolicyReport, TrajectoryReport};
-use monogrid_slam::mapping::SceneCell;
+use monogrid_mapping::SceneCell;
 use monogrid_slam::{Bridge, Fragment, MapBytes};
 use serde::{Serialize, Serializer};
 

@@ -13,10 +13,10 @@ use crate::run::RunSettings;
 use crate::run::align::in_map;
 use crate::run::summary::Status;
 use monogrid_datasets::{TimedPose, format_sim3, format_tum};
-use monogrid_occupancy::{MapError, MapFormat, OccupancyMap};
-use monogrid_slam::mapping::{
+use monogrid_mapping::{
     KeyframeCamera, KeyframeScan, Mapper, MappingConfig, z_up_from_camera_world,
 };
+use monogrid_occupancy::{MapError, MapFormat, OccupancyMap};
 use monogrid_slam::{KeptKeyframe, PoseSnapshot, Slam, TrajectoryPose};
 use serde::Serialize;
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};

@@ -18,8 +18,8 @@ use monogrid_evaluation::{
     SurfaceAlignment, TruthGrid, align_to_surfaces, evaluate_map, evaluate_paths,
 };
 use monogrid_geometry::{Vec2, Vec3};
+use monogrid_mapping::KeyframeScan;
 use monogrid_occupancy::OccupancyMap;
-use monogrid_slam::mapping::KeyframeScan;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 

@@ -24,9 +24,9 @@ use monogrid_evaluation::{
 };
 use monogrid_geometry::{Camera, Distortion};
 use monogrid_image::{GradientImage, GrayImage, Image};
+use monogrid_mapping::{KeyframeScan, RefineConfig, refined_depths};
 use monogrid_occupancy::DepthPixel as Measurement;
 use monogrid_slam::DepthPixel;
-use monogrid_slam::mapping::{KeyframeScan, RefineConfig, refined_depths};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 

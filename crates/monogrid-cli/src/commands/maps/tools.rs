@@ -10,9 +10,9 @@ use monogrid_app::run::outputs::UNKNOWN_SCALE_WARNING;
 use monogrid_datasets::read_sim3;
 use monogrid_evaluation::{PlanConfig, plan_path};
 use monogrid_geometry::Sim3;
+use monogrid_mapping::MeshConfig;
 use monogrid_occupancy::{MapFormat, OccupancyMap, Similarity};
 use monogrid_report::surface::{CellColours, MeshFormat};
-use monogrid_slam::mapping::MeshConfig;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 

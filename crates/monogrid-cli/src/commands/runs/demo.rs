@@ -21,7 +21,7 @@ use monogrid_evaluation::{
     evaluate_map, truth_from_triangles,
 };
 use monogrid_geometry::{Camera, Distortion};
-use monogrid_slam::mapping::Maps;
+use monogrid_mapping::Maps;
 use monogrid_worlds::{Renderer, SynthSequence};
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};

@@ -11,6 +11,7 @@ use monogrid_app::recorded::Recorded;
 use monogrid_app::run::align::{Align, Up};
 use monogrid_app::run::sessions::Source;
 use monogrid_datasets::{RecordedKeyframe, encode_png_rgb};
+use monogrid_mapping::{ImageOf, KeyframeCamera, MeshConfig};
 use monogrid_report::Page;
 use monogrid_report::colours::Colours;
 use monogrid_report::explorer::{
@@ -20,7 +21,6 @@ use monogrid_report::explorer::{
 use monogrid_report::picture::colour::quantile;
 use monogrid_report::picture::voxels::{Cube, View, dollhouse_cut, occupied_cubes, render};
 use monogrid_report::surface::CellColours;
-use monogrid_slam::mapping::{ImageOf, KeyframeCamera, MeshConfig};
 use monogrid_worlds::MeshModel;
 use serde::Serialize;
 use std::path::{Path, PathBuf};

@@ -5,9 +5,9 @@ use super::edges::{
     DIRECT_ROTATION_SIGMA, DIRECT_SCALE_SIGMA, DIRECT_TRANSLATION_SHARE, DIRECT_TRANSLATION_SIGMA,
 };
 use super::*;
+use crate::KeyframeCamera;
 use crate::graph::job::OdometryEdge;
 use crate::map::{Exposure, KeyframeImage};
-use crate::mapping::KeyframeCamera;
 use crate::sparse::SharedPoints;
 use crate::store::Store;
 use crate::test_world::small_demo;

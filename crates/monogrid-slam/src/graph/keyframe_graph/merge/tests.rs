@@ -3,10 +3,10 @@
 
 use super::super::tests::{error, keyframes, map_of};
 use super::*;
+use crate::KeyframeCamera;
 use crate::graph::RestoredGraph;
 use crate::graph::job::Joined;
 use crate::map::{KeyframeImage, View};
-use crate::mapping::KeyframeCamera;
 use crate::store::Store;
 use crate::test_world::small_demo;
 use crate::{PoseSnapshot, SlamConfig};

@@ -1,0 +1,214 @@
+//! Better depth of all keyframes, when the poses are known in the end: they take the `stages`
+//! together.
+
+use super::stages::{Found, agreed, completed, found, mapped, matched};
+use crate::agreement::Certainty;
+use crate::scene::{PosedKeyframe, Scene, View, for_each_keyframe};
+use crate::stereo::neighbours;
+use crate::{KeyframeCamera, KeyframeScan, MappingConfig};
+use monogrid_slam::Slam;
+use monogrid_slam::store::Store;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// What of each keyframe is mapped: its depth, with dense depth ([`monogrid_depth::dense_depth`])
+/// and made better by the images of the keyframes around it ([`monogrid_depth::refine_depth`]) if
+/// the settings ask for it, filtered and filled as [`KeyframeScan::new`] does.
+///
+/// The result does not depend on the number of threads.
+#[must_use]
+pub fn final_scans(
+    keyframes: &[PosedKeyframe],
+    camera: &KeyframeCamera,
+    config: &MappingConfig,
+    threads: usize,
+) -> Vec<KeyframeScan> {
+    let rest = (&Store::default(), &AtomicUsize::new(0));
+    scans_in(keyframes, camera, config, threads, rest)
+}
+
+/// The depth of all finished keyframes of a system as it is mapped in the end ([`final_scans`]) at
+/// the newest poses, by identity; it lies where there is room. `done` grows with every keyframe, for
+/// those who wait.
+#[must_use]
+pub fn final_scans_of(
+    slam: &Slam,
+    config: &MappingConfig,
+    threads: usize,
+    done: &AtomicUsize,
+) -> Vec<KeyframeScan> {
+    let (finished, poses) = (slam.keyframes(), slam.snapshot());
+    let keyframes = finished.iter().map(|k| PosedKeyframe::kept(k, &poses));
+    let keyframes: Vec<PosedKeyframe> = keyframes.collect();
+    let rest = (slam.store(), done);
+    scans_in(&keyframes, &slam.camera(), config, threads, rest)
+}
+
+/// As [`final_scans`]; the scans lie in the store.
+fn scans_in(
+    keyframes: &[PosedKeyframe],
+    camera: &KeyframeCamera,
+    config: &MappingConfig,
+    threads: usize,
+    (store, done): (&Store, &AtomicUsize),
+) -> Vec<KeyframeScan> {
+    let config = &*config.at_its_quality();
+    let scene = Scene {
+        keyframes,
+        views: &[],
+        camera,
+        config,
+        threads,
+    };
+    let count = keyframes.len();
+    let is_dense = config.quality.has_dense_depth();
+    let neighbours = for_each_keyframe(count, threads, |index| match is_dense {
+        true => neighbours(&scene, index),
+        false => Vec::new(),
+    });
+    let dense = for_each_keyframe(count, threads, |index| match is_dense {
+        true => matched(&scene, index, &neighbours[index], store),
+        false => None,
+    });
+    let found = for_each_keyframe(count, threads, |index| {
+        let dense = |index: usize| dense[index].as_ref()?.get();
+        let found = found(&scene, index, &neighbours[index], dense, store);
+        done.fetch_add(1, Ordering::Relaxed);
+        found
+    });
+    drop(dense);
+    let views = views_of(&found, |found| found);
+    let seen = scene.seeing(&views);
+    let certainty = Certainty::of_scene(&seen);
+    let agreed = for_each_keyframe(count, threads, |index| {
+        agreed(&seen, &found[index], index, certainty)
+    });
+    drop((views, found));
+    let views = views_of(&agreed, |agreed| agreed);
+    let seen = scene.seeing(&views);
+    let completed = for_each_keyframe(count, threads, |index| {
+        completed(&seen, &agreed[index], index)
+    });
+    drop((views, agreed));
+    let views = views_of(&completed, |completed| &completed.found);
+    let seen = scene.seeing(&views);
+    for_each_keyframe(count, threads, |index| {
+        let cloud = |index: usize| Some(&completed.get(index)?.cloud);
+        mapped(&seen, &completed[index], index, cloud)
+    })
+}
+
+/// Keyframes as others see them.
+fn views_of<T>(all: &[T], found: impl Fn(&T) -> &Found) -> Vec<Option<View>> {
+    all.iter().map(|this| found(this).view.clone()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_wall::{CAMERA, depths, share_right, wall};
+    use crate::{DepthOf, FillConfig, FusionConfig, ImageOf, MapQuality};
+    use monogrid_geometry::{Rotation, Sim3, Vec3};
+    use monogrid_slam::KeyframeId;
+    use monogrid_slam::MemoryConfig;
+
+    fn config() -> MappingConfig {
+        MappingConfig {
+            quality: MapQuality::Fast,
+            sigma_from_agreement: false,
+            fusion: FusionConfig { max_witnesses: 0 },
+            fill: FillConfig { enabled: false },
+            ..MappingConfig::default()
+        }
+    }
+
+    #[test]
+    fn keyframes_make_each_other_better_whatever_their_units_and_the_threads() {
+        let places = [(0.0, 1.0), (0.35, 1.2), (-0.35, 0.7), (0.6, 1.0)];
+        let images = places.map(|(x, _)| wall(x));
+        let pixels = places.map(|(_, scale)| depths(scale));
+        let mut keyframes: Vec<PosedKeyframe> = (0..4)
+            .map(|i| PosedKeyframe {
+                id: i as KeyframeId,
+                image: Some(ImageOf::Held(&images[i])),
+                depth: DepthOf::Held(&pixels[i]),
+                world_from_keyframe: Some(Sim3::new(
+                    places[i].1,
+                    Rotation::identity(),
+                    Vec3::new(places[i].0, 0.0, 0.0),
+                )),
+            })
+            .collect();
+        let scans = final_scans(&keyframes, &CAMERA, &config(), 1);
+        for threads in [2, 3, 9] {
+            assert_eq!(final_scans(&keyframes, &CAMERA, &config(), threads), scans);
+        }
+        for (i, scan) in scans.iter().enumerate() {
+            assert_eq!(scan.id, i as KeyframeId);
+            // the others have no gradient along their epipolar lines, or are out of view
+            let share = share_right(scan, places[i].1);
+            assert!(share > 0.25, "keyframe {i}: {share}");
+        }
+        // a keyframe that nobody knows the place of neither gets nor gives
+        keyframes[1].world_from_keyframe = None;
+        keyframes[2].image = None;
+        let without = final_scans(&keyframes, &CAMERA, &config(), 2);
+        for (scan, (_, scale)) in without.iter().zip(places) {
+            // for the other two, one source is not enough
+            assert!(share_right(scan, scale) <= 0.0);
+        }
+        // and none does if it is switched off
+        let mut off = config();
+        off.refine.enabled = false;
+        keyframes[2].image = Some(ImageOf::Held(&images[2]));
+        for (keyframe, scan) in keyframes
+            .iter()
+            .zip(final_scans(&keyframes, &CAMERA, &off, 2))
+        {
+            let (pixels, image) = (keyframe.depth.get(), keyframe.image());
+            let alone = KeyframeScan::new(keyframe.id, &pixels, image.as_deref(), &CAMERA, &off);
+            assert_eq!(scan, alone);
+        }
+    }
+
+    #[test]
+    fn dense_depth_covers_what_the_filter_does_not_have_on_any_number_of_threads() {
+        let places = [0.0, 0.2, -0.2, 0.35, -0.35];
+        let images = places.map(wall);
+        // the filter knows every ninth pixel
+        let mut pixels = depths(1.0);
+        pixels.retain(|p| p.x % 3 == 0 && p.y % 3 == 0);
+        let keyframes: Vec<PosedKeyframe> = places
+            .iter()
+            .zip(&images)
+            .enumerate()
+            .map(|(i, (x, image))| PosedKeyframe {
+                id: i as KeyframeId,
+                image: Some(ImageOf::Held(image)),
+                depth: DepthOf::Held(&pixels),
+                world_from_keyframe: Some(Sim3::new(
+                    1.0,
+                    Rotation::identity(),
+                    Vec3::new(*x, 0.0, 0.0),
+                )),
+            })
+            .collect();
+        let dense = MappingConfig {
+            quality: MapQuality::Default,
+            ..config()
+        };
+        let scans = final_scans(&keyframes, &CAMERA, &dense, 1);
+        assert_eq!(final_scans(&keyframes, &CAMERA, &dense, 3), scans);
+        let no_room = Store::new(&MemoryConfig {
+            keyframes_mb: 0.0,
+            prepared_mb: 0.0,
+        });
+        no_room.spill_into(tempfile::tempfile().unwrap());
+        let store = (&no_room, &AtomicUsize::new(0));
+        let spilled = scans_in(&keyframes, &CAMERA, &dense, 2, store);
+        assert!(spilled == scans && no_room.bytes().file > 0);
+        let fast = final_scans(&keyframes, &CAMERA, &config(), 2);
+        let all = CAMERA.width * CAMERA.height;
+        assert!(fast[0].num_pixels == 0 && 2 * scans[0].num_pixels > all);
+        assert!(share_right(&scans[0], 1.0) > 0.9);
+    }
+}

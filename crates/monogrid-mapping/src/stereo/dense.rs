@@ -1,0 +1,298 @@
+//! Dense depth of the keyframes at the final poses: stereo with the keyframes that see the same
+//! from beside, then what these confirm of it, then one list of depths with those of the filter.
+
+use super::refine::{seeds, source_views};
+use crate::KeyframeCamera;
+use crate::scene::{Neighbour, Scene};
+use monogrid_depth::{DenseDepth, Witness, dense_depth};
+use monogrid_geometry::{Sim3, Vec2, Vec3};
+use monogrid_image::Image;
+use monogrid_slam::DepthPixel;
+use std::sync::Arc;
+
+/// Angle between lines of sight under which two keyframes see the same points at best, degrees.
+const BEST_ANGLE_DEG: f64 = 8.0;
+
+/// Depths of a keyframe by which its neighbours are judged, at most.
+const MAX_PROBES: usize = 200;
+/// Points that are seen this near to the border of an image count as outside, px.
+const BORDER_PX: f64 = 8.0;
+/// Neighbours below this usefulness are none.
+const MIN_USEFULNESS: f64 = 0.1;
+/// How fast usefulness falls below and above the best angle, as shares of it.
+const ANGLE_WIDTHS: [f64; 2] = [0.5, 1.25];
+/// Depths of the half image that differ by less than this share are interpolated.
+const ONE_SURFACE: f32 = 0.03;
+
+/// What of the dense depth of one keyframe that of its neighbours confirms; `depth` is that of
+/// each, as it was matched.
+pub(crate) fn confirmed(
+    scene: &Scene,
+    index: usize,
+    neighbours: &[Neighbour],
+    depth: impl Fn(usize) -> Option<Arc<DenseDepth>>,
+) -> Option<DenseDepth> {
+    let config = &scene.config.dense;
+    let neighbours = neighbours.iter().take(config.max_witnesses);
+    let seen: Vec<(Arc<DenseDepth>, Sim3)> = neighbours
+        .filter_map(|other| Some((depth(other.index)?, other.neighbour_from_keyframe)))
+        .collect();
+    let witnesses = seen.iter().map(|(depth, witness_from_keyframe)| Witness {
+        depth,
+        witness_from_keyframe: *witness_from_keyframe,
+    });
+    let witnesses: Vec<Witness> = witnesses.collect();
+    let pinhole = &scene.camera.pinhole;
+    Some(depth(index)?.agreed(&witnesses, pinhole, &config.stereo))
+}
+
+/// The dense depth of one keyframe by its neighbours.
+pub(crate) fn stereo(scene: &Scene, index: usize, neighbours: &[Neighbour]) -> Option<DenseDepth> {
+    let config = &scene.config.dense;
+    let near = scene.sources(neighbours, config.max_sources);
+    let keyframe = &scene.keyframes[index];
+    dense_depth(
+        &*keyframe.image()?,
+        &scene.camera.pinhole,
+        &seeds(&keyframe.depth.get()),
+        &source_views(&near),
+        &config.stereo,
+    )
+}
+
+/// The keyframes with an image that are most useful for the depth of another one, the best first:
+/// as many as match it or confirm it.
+pub(crate) fn neighbours(scene: &Scene, index: usize) -> Vec<Neighbour> {
+    let (config, camera) = (&scene.config.dense, scene.camera);
+    let points = probes(&scene.keyframes[index].depth.get(), camera);
+    let most = config.max_sources.max(config.max_witnesses);
+    scene.neighbours(index, most, |neighbour_from_keyframe| {
+        let usefulness = usefulness(&points, neighbour_from_keyframe, camera);
+        (usefulness >= MIN_USEFULNESS).then_some(-usefulness)
+    })
+}
+
+/// Some points that a keyframe sees, in its frame.
+fn probes(pixels: &[DepthPixel], camera: &KeyframeCamera) -> Vec<Vec3> {
+    let stride = pixels.len().div_ceil(MAX_PROBES).max(1);
+    let known = |p: &&DepthPixel| p.idepth > 0.0 && p.idepth.is_finite();
+    let pixels = pixels.iter().step_by(stride).filter(known);
+    pixels
+        .map(|p| {
+            let ray = camera.pinhole.unproject(&Vec2::new(p.x.into(), p.y.into()));
+            ray / f64::from(p.idepth)
+        })
+        .collect()
+}
+
+/// Mean over points of how well a neighbour measures their depth: 1 at the best angle between the
+/// lines of sight (under smaller ones depth is imprecise, under larger ones images differ), 0 where
+/// it does not see them.
+fn usefulness(points: &[Vec3], neighbour_from_keyframe: &Sim3, camera: &KeyframeCamera) -> f64 {
+    let centre = neighbour_from_keyframe.inverse().translation;
+    let of_point = |point: &Vec3| {
+        let seen = *neighbour_from_keyframe * *point;
+        if !is_in_view(&seen, camera) {
+            return 0.0;
+        }
+        let off = point.angle(&(point - centre)).to_degrees() / BEST_ANGLE_DEG - 1.0;
+        let width = ANGLE_WIDTHS[usize::from(off > 0.0)];
+        (-0.5 * (off / width).powi(2)).exp()
+    };
+    points.iter().map(of_point).sum::<f64>() / points.len().max(1) as f64
+}
+
+/// Whether a point in the frame of a keyframe is well within its image.
+fn is_in_view(point: &Vec3, camera: &KeyframeCamera) -> bool {
+    if point.z <= 1e-9 {
+        return false;
+    }
+    let at = camera.pinhole.project(point);
+    at.x >= BORDER_PX
+        && at.y >= BORDER_PX
+        && at.x <= camera.width as f64 - 1.0 - BORDER_PX
+        && at.y <= camera.height as f64 - 1.0 - BORDER_PX
+}
+
+/// The depth of a keyframe by its filter and by dense stereo, row-major: fused where they agree
+/// within two standard deviations, else the dense one, which other keyframes have confirmed.
+pub(crate) fn merged(
+    filter: &[DepthPixel],
+    dense: &DenseDepth,
+    camera: &KeyframeCamera,
+) -> Vec<DepthPixel> {
+    let mut depths: Image<Option<[f32; 2]>> = Image::filled(camera.width, camera.height, None);
+    for pixel in filter {
+        let (x, y) = (usize::from(pixel.x), usize::from(pixel.y));
+        if x < camera.width && y < camera.height {
+            depths.set(x, y, Some([pixel.idepth, pixel.idepth_var]));
+        }
+    }
+    for y in 0..2 * dense.idepth.height() {
+        for x in 0..2 * dense.idepth.width() {
+            if let Some(idepth) = at_full_size(&dense.idepth, x, y) {
+                let variance = dense.sigma.at(x / 2, y / 2).powi(2);
+                depths.set(x, y, Some(fused(depths.at(x, y), idepth, variance)));
+            }
+        }
+    }
+    let pixel = |(index, depth): (usize, &Option<[f32; 2]>)| {
+        let [idepth, idepth_var] = (*depth)?;
+        Some(DepthPixel {
+            x: (index % camera.width) as u16,
+            y: (index / camera.width) as u16,
+            idepth,
+            idepth_var,
+        })
+    };
+    let depths = depths.as_slice().iter().enumerate();
+    depths.filter_map(pixel).collect()
+}
+
+/// Dense depth with that of the filter. Both come from the same images, so that the variance is the
+/// smaller one.
+fn fused(filter: Option<[f32; 2]>, idepth: f32, variance: f32) -> [f32; 2] {
+    match filter {
+        Some([before, before_variance])
+            if (idepth - before).powi(2) <= 4.0 * (variance + before_variance) =>
+        {
+            let weight = variance / (variance + before_variance);
+            let mean = idepth + weight * (before - idepth);
+            [mean, variance.min(before_variance)]
+        }
+        _ => [idepth, variance],
+    }
+}
+
+/// Inverse depth of a pixel of the full image: between the four nearest of the half image where
+/// these are of one surface, else that of the nearest.
+pub(crate) fn at_full_size(half: &Image<f32>, x: usize, y: usize) -> Option<f32> {
+    // the middle of a pixel of the half image lies between four of the full one
+    let beside = |at: usize, size: usize| match at % 2 {
+        0 => (at / 2).saturating_sub(1),
+        _ => (at / 2 + 1).min(size - 1),
+    };
+    let nearest = half.at(x / 2, y / 2);
+    let (column, row) = (beside(x, half.width()), beside(y, half.height()));
+    let others = [
+        half.at(column, y / 2),
+        half.at(x / 2, row),
+        half.at(column, row),
+    ];
+    let is_one = |d: &f32| (d / nearest - 1.0).abs() < ONE_SURFACE;
+    if nearest <= 0.0 {
+        None
+    } else if others.iter().all(is_one) {
+        Some(0.5625 * nearest + 0.1875 * (others[0] + others[1]) + 0.0625 * others[2])
+    } else {
+        Some(nearest)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{DenseMappingConfig, DepthOf, ImageOf, MappingConfig, PosedKeyframe};
+    use monogrid_geometry::{Pinhole, Rotation};
+
+    const CAMERA: KeyframeCamera = KeyframeCamera {
+        pinhole: Pinhole {
+            fx: 100.0,
+            fy: 100.0,
+            cx: 49.5,
+            cy: 39.5,
+        },
+        width: 100,
+        height: 80,
+    };
+
+    fn half(idepth: f32) -> DenseDepth {
+        DenseDepth {
+            idepth: Image::filled(50, 40, idepth),
+            sigma: Image::filled(50, 40, 0.01 * idepth),
+        }
+    }
+
+    #[test]
+    fn neighbours_are_those_that_see_the_same_under_a_good_angle() {
+        let image = Image::filled(CAMERA.width, CAMERA.height, 0_u8);
+        let pixels: Vec<DepthPixel> = (0..80)
+            .map(|i| DepthPixel {
+                x: i,
+                y: i,
+                idepth: 0.5,
+                idepth_var: 1e-4,
+            })
+            .collect();
+        // in order: itself, too near, 8 degrees, 16 degrees, out of sight, behind
+        let places = [0.0, 0.02, 0.28, 0.56, 4.0];
+        let mut keyframes: Vec<PosedKeyframe> = places
+            .iter()
+            .enumerate()
+            .map(|(i, x)| PosedKeyframe {
+                id: i as u32,
+                image: Some(ImageOf::Held(&image)),
+                depth: DepthOf::Held(&pixels),
+                world_from_keyframe: Some(Sim3::new(
+                    1.0,
+                    Rotation::identity(),
+                    Vec3::new(*x, 0.0, 0.0),
+                )),
+            })
+            .collect();
+        let order = |keyframes: &[PosedKeyframe], max| -> Vec<usize> {
+            let config = MappingConfig {
+                dense: DenseMappingConfig {
+                    max_sources: 1,
+                    max_witnesses: max,
+                    ..DenseMappingConfig::default()
+                },
+                ..MappingConfig::default()
+            };
+            let scene = Scene {
+                keyframes,
+                views: &[],
+                camera: &CAMERA,
+                config: &config,
+                threads: 1,
+            };
+            let found = neighbours(&scene, 0);
+            found.iter().map(|n| n.index).collect()
+        };
+        assert_eq!(order(&keyframes, 9), [2, 3, 1]);
+        assert_eq!(order(&keyframes, 1), [2]);
+        keyframes[2].image = None;
+        keyframes[3].world_from_keyframe = None;
+        assert_eq!(order(&keyframes, 9), [1]);
+    }
+
+    #[test]
+    fn dense_depth_joins_agreeing_depth_of_the_filter_and_replaces_other() {
+        let pixel = |x, idepth| DepthPixel {
+            x,
+            y: 10,
+            idepth,
+            idepth_var: 1e-4,
+        };
+        let all = merged(&[pixel(20, 0.51), pixel(30, 0.7)], &half(0.5), &CAMERA);
+        assert_eq!(all.len(), CAMERA.width * CAMERA.height);
+        let at = |x: usize| all[10 * CAMERA.width + x].idepth;
+        assert!(at(20) > 0.5 && at(20) < 0.505 && (at(30) - 0.5).abs() < 1e-6);
+        let filter = [pixel(20, 0.51)];
+        assert_eq!(merged(&filter, &half(0.0), &CAMERA), filter);
+    }
+
+    #[test]
+    fn slanted_depth_is_interpolated_and_edges_stay() {
+        let slanted = Image::from_fn(50, 40, |x, _| 1.0 + 0.01 * x as f32);
+        // the middle of pixel 10 of the half image is at 20.5 of the full one
+        for (x, expected) in [(20, 1.0975), (21, 1.1025)] {
+            let found = at_full_size(&slanted, x, 30).unwrap();
+            assert!((found - expected).abs() < 1e-5, "{x}: {found}");
+        }
+        let edge = Image::from_fn(50, 40, |x, _| if x < 10 { 1.0 } else { 2.0 });
+        assert_eq!(at_full_size(&edge, 19, 30), Some(1.0));
+        assert_eq!(at_full_size(&edge, 20, 30), Some(2.0));
+        assert_eq!(at_full_size(&half(0.0).idepth, 20, 30), None);
+    }
+}

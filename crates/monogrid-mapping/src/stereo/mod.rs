@@ -1,0 +1,8 @@
+//! Depth by the images of other keyframes: of all pixels, and better depth of those that have some.
+
+mod dense;
+mod refine;
+
+pub(crate) use dense::{at_full_size, confirmed, merged, neighbours, stereo};
+pub(crate) use refine::refined;
+pub use refine::refined_depths;
