@@ -1,5 +1,6 @@
 //! Settings of the whole system; the two profiles are two values of the same structs.
 
+use crate::store::MemoryConfig;
 use crate::{FragmentConfig, GraphConfig, MergeConfig, SparseConfig, TrackingConfig};
 use monogrid_depth::DepthConfig;
 use monogrid_inertial::EstimateConfig;
@@ -83,33 +84,6 @@ impl SlamConfig {
             sparse: SparseConfig::thesis(),
             graph: GraphConfig::thesis(),
             ..Self::default()
-        }
-    }
-
-    /// Checks the ranges.
-    ///
-    /// # Errors
-    /// The first setting outside its range.
-    pub fn validate(&self) -> Result<(), ConfigError> {
-        crate::settings::SLAM.check(self)
-    }
-}
-
-/// How much of keyframes is in memory. No result depends on it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct MemoryConfig {
-    /// Images and depth of keyframes in memory, MB; what is beyond that and was not used for
-    /// longest lies in a temporary file, where there is one.
-    pub keyframes_mb: f64,
-    /// Pyramids of keyframes in memory, which are made again when they are needed, MB.
-    pub prepared_mb: f64,
-}
-
-impl Default for MemoryConfig {
-    fn default() -> Self {
-        Self {
-            keyframes_mb: 8.0,
-            prepared_mb: 8.0,
         }
     }
 }

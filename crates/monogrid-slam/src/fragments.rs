@@ -10,15 +10,8 @@
 //! first one, so that what others were told keeps its frame; in the end a fragment that is much
 //! larger becomes the main map. What stays apart is kept, and a later session can still join it.
 
-use crate::KeyframeId;
+use crate::{FragmentId, KeyframeId};
 use serde::Serialize;
-
-/// Identity of a fragment; never reused. 0 is the main map, with which the largest fragment can
-/// change places at the end.
-pub type FragmentId = u32;
-
-/// The fragment that the first keyframe belongs to, and all that are joined to it.
-pub const MAIN_MAP: FragmentId = 0;
 
 /// When a lost camera starts a new fragment of the map, and when that is joined to another.
 #[derive(Clone, Debug, PartialEq)]

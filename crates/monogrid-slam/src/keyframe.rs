@@ -1,13 +1,10 @@
 //! Keyframes as they are published, and the poses that live outside them.
 
-use crate::map::KeyframeImage;
 use crate::store::{Kept, Store};
-use crate::{FragmentId, MAIN_MAP};
+use crate::view::KeyframeImage;
+use crate::{FragmentId, KeyframeId, MAIN_MAP};
 use monogrid_geometry::{Mat7, Pinhole, Se3, Sim3, Vec2};
 use monogrid_image::Image;
-
-/// Identity of a keyframe; never reused, counted from 0.
-pub type KeyframeId = u32;
 
 /// Published inverse depth of one keyframe pixel.
 pub type DepthPixel = monogrid_alignment::DepthSample;

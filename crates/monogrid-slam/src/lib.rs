@@ -20,12 +20,14 @@ pub mod fault;
 mod fragments;
 mod frame;
 mod graph;
+mod ids;
 mod inertial_path;
 mod keyframe;
 mod map;
 mod policy;
 mod report;
 pub mod settings;
+mod setup;
 mod sparse;
 mod start;
 pub mod store;
@@ -35,30 +37,30 @@ mod system;
 mod test_world;
 mod tracker;
 mod two_view_start;
+mod view;
 
 pub use config::{
-    ConfigError, InitializationConfig, InitializationMode, KeyframeConfig, MemoryConfig,
-    PublicationConfig, ReactivationConfig, RefinementConfig, SlamConfig, SlamError,
+    ConfigError, InitializationConfig, InitializationMode, KeyframeConfig, PublicationConfig,
+    ReactivationConfig, RefinementConfig, SlamConfig, SlamError,
 };
-pub use fragments::{
-    Agreement, Bridge, Fragment, FragmentConfig, FragmentId, Join, MAIN_MAP, Meeting, MergeConfig,
-};
+pub use fragments::{Agreement, Bridge, Fragment, FragmentConfig, Join, Meeting, MergeConfig};
 pub use frame::FrameInput;
 pub use graph::{
     DriftConfig, EdgeKind, GraphConfig, GraphStats, PlaceMethod, PlaceRecognitionConfig,
     PlacesError,
 };
+pub use ids::{FragmentId, KeyframeId, MAIN_MAP};
 pub use inertial_path::{InertialPath, SensedFrame};
 pub use keyframe::{
-    DepthPixel, KeptKeyframe, Keyframe, KeyframeCamera, KeyframeId, PoseSnapshot, Scale,
-    TrackedFrame, TrajectoryPose,
+    DepthPixel, KeptKeyframe, Keyframe, KeyframeCamera, PoseSnapshot, Scale, TrackedFrame,
+    TrajectoryPose,
 };
 pub use map::{Counts, Event};
 pub use report::{
     FrameReport, InFragment, LostReason, MapBytes, MapSize, StageTimes, TrackingState,
 };
 pub use sparse::{ImageAdjustmentConfig, SparseConfig};
-pub use store::SpillError;
+pub use store::{MemoryConfig, SpillError};
 pub use stored::{
     ContinueError, Purpose, StoredEdge, StoredKeyframe, StoredLink, StoredMap, StoredPoint,
 };

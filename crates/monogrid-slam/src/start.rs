@@ -2,7 +2,7 @@
 
 use crate::frame::{BufferedFrame, Frame};
 use crate::median::median;
-use crate::system::Setup;
+use crate::setup::Setup;
 use crate::tracker::MIN_POINTS;
 use crate::two_view_start::TwoViewStart;
 use crate::{InitializationMode, LostReason, Scale, SlamConfig};

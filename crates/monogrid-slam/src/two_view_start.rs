@@ -7,9 +7,9 @@
 use crate::depth_step::{observe, regularize};
 use crate::frame::{BufferedFrame, Frame};
 use crate::median::median;
+use crate::setup::Setup;
 use crate::sparse::{NUM_COARSER, corner_settings};
 use crate::start::Started;
-use crate::system::Setup;
 use crate::tracker::MIN_POINTS;
 use crate::{InitializationConfig, LostReason, SparseConfig};
 use monogrid_depth::{DepthMap, StereoFrame};

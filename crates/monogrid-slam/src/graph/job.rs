@@ -1,8 +1,7 @@
 //! What the graph is given, and what comes of it.
 
-use crate::map::View;
-use crate::sparse::SharedPoints;
 use crate::stored::StoredEdge;
+use crate::view::View;
 use crate::{FragmentId, KeyframeId, PoseSnapshot};
 use monogrid_geometry::{Mat6, Se3, Sim3};
 use monogrid_graph::pose_graph::PoseGraphError;
@@ -33,6 +32,14 @@ pub(crate) struct OdometryEdge {
     pub covariance: Mat6,
     /// Standard deviation of the logarithm of the scale.
     pub scale_sigma: f64,
+}
+
+/// Two keyframes that share points of the sparse layer, the older one first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct SharedPoints {
+    pub i: KeyframeId,
+    pub j: KeyframeId,
+    pub count: usize,
 }
 
 /// A keyframe that a frame shows, and where the frame is.

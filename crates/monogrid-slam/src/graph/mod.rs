@@ -22,7 +22,7 @@ mod worker;
 pub use config::{DriftConfig, GraphConfig, PlaceMethod, PlaceRecognitionConfig};
 pub(crate) use job::{
     EdgeChanges, EdgeKey, GraphJob, GraphUpdate, Joined, Link, OdometryEdge, Relocalised,
-    RestoredGraph,
+    RestoredGraph, SharedPoints,
 };
 pub use job::{EdgeKind, GraphStats};
 pub(crate) use keyframe_graph::KeyframeGraph;

@@ -3,7 +3,7 @@
 use super::GraphConfig;
 use crate::KeyframeCamera;
 use crate::KeyframeId;
-use crate::map::View;
+use crate::view::View;
 use monogrid_alignment::DepthSample;
 use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 use std::sync::Arc;

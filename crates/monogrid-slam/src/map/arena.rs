@@ -1,6 +1,6 @@
 //! The keyframes with everything known about them, their points, and the frames tracked on them.
 
-use super::changes::Changes;
+use super::events::Changes;
 use super::frames::FrameLog;
 use super::keyframe::MapKeyframe;
 use super::parts::path_between;

@@ -6,6 +6,7 @@
 
 mod arena;
 mod changes;
+mod events;
 mod frames;
 mod keyframe;
 mod parts;
@@ -13,10 +14,10 @@ mod points;
 
 pub use arena::Counts;
 pub(crate) use arena::Map;
-pub use changes::Event;
 pub(crate) use changes::{FinishedKeyframe, NewKeyframe};
+pub use events::Event;
 pub(crate) use frames::{Record, VisitEnd};
-pub(crate) use keyframe::{Exposure, KeyframeImage, MapKeyframe, NUM_LEVELS, View};
+pub(crate) use keyframe::MapKeyframe;
 pub(crate) use parts::{parts, path_between};
 pub(crate) use points::{
     Adjustment, DenseLink, Observation, Registration, SeenPoints, SparsePoint,

@@ -1,7 +1,7 @@
 //! The public settings of tracking and depth.
 
 use super::Settings;
-use crate::{SlamConfig, settings};
+use crate::{ConfigError, SlamConfig, settings};
 
 /// The settings of the section `[slam]`.
 pub const SLAM: Settings<SlamConfig> = settings! { slam: SlamConfig, OLD,
@@ -216,3 +216,13 @@ const OLD: &[(&str, &str)] = &[
          search_radius_px",
     ),
 ];
+
+impl SlamConfig {
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    /// The first setting outside its range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        SLAM.check(self)
+    }
+}

@@ -30,4 +30,4 @@ pub(crate) use lens::LeftLens;
 pub(crate) use matching::{PointSearch, Which, find_in_image, position};
 pub(crate) use register::{POSE_SIGMA_PX, register};
 pub(crate) use scale::{dense_links, world_from_keyframes};
-pub(crate) use shared::{MAX_GAP, SharedPoints, shared_points};
+pub(crate) use shared::{MAX_GAP, shared_points};

@@ -1,6 +1,7 @@
 //! Which keyframes share points.
 
 use crate::KeyframeId;
+use crate::graph::SharedPoints;
 use crate::map::Map;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,14 +13,6 @@ const MAX_EDGES: usize = 12;
 /// long time pull both ends of a loop together only half, because each end is held by points of
 /// its own: the relative pose that is left is no measurement.
 pub(crate) const MAX_GAP: u32 = 25;
-
-/// Two keyframes that share points of the sparse layer, the older one first.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct SharedPoints {
-    pub i: KeyframeId,
-    pub j: KeyframeId,
-    pub count: usize,
-}
 
 /// Pairs of keyframes with enough common points and not too far apart, of which one is among
 /// `window`, older keyframe first: of each keyframe the older ones with the most common points,

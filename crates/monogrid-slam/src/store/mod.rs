@@ -10,6 +10,7 @@
 //!
 //! Depth at the final poses and what is mapped of each keyframe are kept here too, so that the end of a run needs a few of them at a time.
 
+mod config;
 mod packed;
 mod scratch;
 mod shelves;
@@ -21,7 +22,7 @@ pub use self::packed::{Keepable, Measured};
 use self::shelves::Shelves;
 pub use self::shelves::SpillError;
 pub use self::shelves::StoreBytes;
-use crate::config::MemoryConfig;
+pub use config::MemoryConfig;
 use std::any::Any;
 use std::fs::File;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

@@ -1,7 +1,7 @@
 //! Values as they are written to the file.
 
 use super::Kept;
-use crate::DepthPixel;
+use monogrid_alignment::DepthSample;
 use monogrid_depth::{DenseDepth, PackedDepth};
 use monogrid_features::{KeptCorners, PlaceCorners};
 use monogrid_image::{Image, Pyramid};
@@ -92,7 +92,7 @@ impl Pixel for Measurement {
     }
 }
 
-impl Pixel for DepthPixel {
+impl Pixel for DepthSample {
     fn packed(self) -> Packed {
         (self.x, self.y, self.idepth, self.idepth_var)
     }

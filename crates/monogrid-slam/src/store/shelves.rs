@@ -1,7 +1,7 @@
 //! What is in memory, what is in the file, and what leaves memory next.
 
+use super::config::MemoryConfig;
 use super::scratch::{Place, Scratch};
-use crate::config::MemoryConfig;
 use std::any::Any;
 use std::collections::BTreeMap;
 use std::fs::File;

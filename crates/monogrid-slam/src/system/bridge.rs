@@ -6,18 +6,19 @@
 //! and with which scale: a similarity of two paths. How well it is known follows from how well the
 //! paths agree, over the length that they have in common.
 
-use super::camera::{Known, Last};
 use super::constrain::covariance_of;
-use super::setup::Setup;
-use super::slam::Slam;
-use super::tracking::{motion_prior, reference};
+use super::lost::Known;
+use super::tracking::{Last, motion_prior, reference};
 use crate::depth_step::tracking_samples;
 use crate::graph::{Link, OdometryEdge};
+use crate::map::Map;
 use crate::policy::{BridgeEvidence, is_bridge};
+use crate::setup::Setup;
 use crate::start::Started;
 use crate::tracker::Task;
 use crate::{Bridge, KeyframeId, TrackingState};
 use monogrid_geometry::{Rotation, Se3, Sim3, Vec3, rotation_exp, rotation_log};
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 /// Where the first keyframe of a start lies in the map.
@@ -40,27 +41,29 @@ struct KnownTwice {
     in_start: Se3,
 }
 
-impl Slam {
-    /// Looks for the last frames with a pose in what a start shows; `None` where too few are seen,
-    /// or do not say enough.
-    pub(super) fn land(&self, started: &Started) -> Option<Landing> {
-        let (map, known) = (&self.map, &self.camera.known);
-        let parent = &map[known.back()?.keyframe];
-        let of_parent = |known: &&Known| map[known.keyframe].fragment == parent.fragment;
-        let frames: Vec<&Known> = known.iter().filter(of_parent).rev().collect();
-        let seen = seen_by_start(&self.setup, started, &frames);
-        let twice = frames.iter().zip(seen).map(|(known, in_start)| KnownTwice {
-            in_map: map[known.keyframe].world_from_camera(&known.frame_from_keyframe),
-            in_start,
-        });
-        let fit = Fit::of(&twice.collect::<Vec<_>>())?;
-        is_bridge(&fit.evidence).then(|| Landing {
-            parent: parent.id,
-            parent_from_start: parent.world_from_keyframe.inverse() * fit.map_from_start,
-            evidence: fit.evidence,
-            position_sigma: fit.position_sigma / fit.map_from_start.scale,
-        })
-    }
+/// Looks for the last frames with a pose in what a start shows; `None` where too few are seen,
+/// or do not say enough.
+pub(super) fn land(
+    setup: &Setup,
+    map: &Map,
+    known: &VecDeque<Known>,
+    started: &Started,
+) -> Option<Landing> {
+    let parent = &map[known.back()?.keyframe];
+    let of_parent = |known: &&Known| map[known.keyframe].fragment == parent.fragment;
+    let frames: Vec<&Known> = known.iter().filter(of_parent).rev().collect();
+    let seen = seen_by_start(setup, started, &frames);
+    let twice = frames.iter().zip(seen).map(|(known, in_start)| KnownTwice {
+        in_map: map[known.keyframe].world_from_camera(&known.frame_from_keyframe),
+        in_start,
+    });
+    let fit = Fit::of(&twice.collect::<Vec<_>>())?;
+    is_bridge(&fit.evidence).then(|| Landing {
+        parent: parent.id,
+        parent_from_start: parent.world_from_keyframe.inverse() * fit.map_from_start,
+        evidence: fit.evidence,
+        position_sigma: fit.position_sigma / fit.map_from_start.scale,
+    })
 }
 
 /// Poses of frames of the map, the last of them first, on the first keyframe of a start, as far as

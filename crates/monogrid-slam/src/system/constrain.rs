@@ -1,14 +1,15 @@
 //! What the graph of keyframes is given to work on beside tracking; its results are taken over at a
 //! fixed lag.
 
-use super::setup::Setup;
 use crate::graph::{
     GraphJob, GraphStats, GraphUpdate, GraphWorker, KeyframeGraph, Link, OdometryEdge, Relocalised,
-    RestoredGraph,
+    RestoredGraph, SharedPoints,
 };
-use crate::map::{Map, MapKeyframe, View};
-use crate::sparse::{MAX_GAP, SharedPoints, shared_points};
+use crate::map::{Map, MapKeyframe};
+use crate::setup::Setup;
+use crate::sparse::{MAX_GAP, shared_points};
 use crate::stored::StoredEdge;
+use crate::view::View;
 use crate::{KeyframeId, SlamError};
 use monogrid_alignment::Motion;
 use monogrid_geometry::{Mat6, Se3, Vec6};

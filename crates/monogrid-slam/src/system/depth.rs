@@ -3,17 +3,14 @@
 //! A new keyframe takes over propagated depth and is observed in older keyframes at once: their
 //! baselines are longer than those of the frames to come.
 
-use super::camera::Active;
-use super::setup::Setup;
-use super::slam::Slam;
-use super::tracking::reference;
 use crate::depth_step::{observe, propagate, regularize, tracking_samples};
 use crate::frame::Frame;
-use crate::map::MapKeyframe;
+use crate::map::{Map, MapKeyframe};
+use crate::setup::Setup;
 use crate::{Keyframe, KeyframeId};
 use monogrid_alignment::{Alignment, DepthSample, Motion};
 use monogrid_depth::{DepthMap, MATURE_VALIDITY, PackedDepth, PixelDepth, StereoFrame};
-use monogrid_geometry::{Mat6, Se3, Vec3};
+use monogrid_geometry::{Mat6, Se3};
 use monogrid_image::{GrayImage, Pyramid};
 use std::sync::Arc;
 
@@ -29,99 +26,102 @@ pub(super) struct Successor {
     pub unit: f64,
 }
 
-impl Active {
-    /// A keyframe as frames are tracked on it.
-    pub(super) fn new(
-        setup: &Setup,
-        id: KeyframeId,
-        pyramid: Arc<Pyramid>,
-        depth: DepthMap,
-    ) -> Self {
-        let samples = tracking_samples(&depth, &setup.config.tracking);
+/// Depth of the keyframe in use.
+#[derive(Debug, Default)]
+pub(super) struct DepthStage {
+    depth: Option<DepthMap>,
+    /// Frames that refined it since the keyframe is in use.
+    num_refined: u32,
+}
+
+impl DepthStage {
+    /// Of another keyframe.
+    pub(super) fn of(depth: DepthMap) -> Self {
         Self {
-            id,
-            reference: reference(setup, &pyramid, &samples),
-            pyramid,
-            depth,
-            num_mapped: 0,
+            depth: Some(depth),
             num_refined: 0,
-            num_passed: 0,
-            refined_from: Vec3::zeros(),
         }
+    }
+
+    pub(super) fn get(&self) -> Option<&DepthMap> {
+        self.depth.as_ref()
+    }
+
+    /// The depth of a keyframe that is in use no longer.
+    pub(super) fn take(&mut self) -> Option<DepthMap> {
+        self.depth.take()
+    }
+
+    /// A frame refines the depth: its pixels are observed there. The points that frames are tracked
+    /// on then; `None` without a keyframe.
+    pub(super) fn step(
+        &mut self,
+        setup: &Setup,
+        frame: &Frame,
+        alignment: &Alignment,
+    ) -> Option<Vec<DepthSample>> {
+        let depth = self.depth.as_mut()?;
+        self.num_refined += 1;
+        let (pose_sigma_trans, pose_sigma_rot) = pose_sigmas(alignment.covariance.as_ref());
+        let stereo = StereoFrame {
+            image: frame.image(),
+            frame_from_keyframe: alignment.motion.frame_from_keyframe,
+            gain: alignment.gain(),
+            bias: alignment.bias(),
+            residual_rms: alignment.residual_rms,
+            pose_sigma_trans,
+            pose_sigma_rot,
+            id: self.num_refined,
+        };
+        observe(depth, &[stereo], &setup.config.depth);
+        regularize(depth, &setup.config.depth);
+        Some(tracking_samples(depth, &setup.config.tracking))
+    }
+
+    #[cfg(test)]
+    pub(super) fn num_refined(&self) -> u32 {
+        self.num_refined
     }
 }
 
-impl Slam {
-    /// The frame refines the depth of the keyframe in use: its pixels are observed there.
-    pub(super) fn observe(&mut self, frame: &Frame, alignment: &Alignment) {
-        let setup = &self.setup;
-        let Some(mut active) = self.camera.active.take() else {
-            return;
-        };
-        active.num_mapped += 1;
-        if !setup.is_frozen {
-            let (num_mapped, num_refined) = (active.num_mapped, active.num_refined + 1);
-            let (pose_sigma_trans, pose_sigma_rot) = pose_sigmas(alignment.covariance.as_ref());
-            let stereo = StereoFrame {
-                image: frame.image(),
-                frame_from_keyframe: alignment.motion.frame_from_keyframe,
-                gain: alignment.gain(),
-                bias: alignment.bias(),
-                residual_rms: alignment.residual_rms,
-                pose_sigma_trans,
-                pose_sigma_rot,
-                id: num_refined,
-            };
-            observe(&mut active.depth, &[stereo], &setup.config.depth);
-            regularize(&mut active.depth, &setup.config.depth);
-            active = Active {
-                num_mapped,
-                num_refined,
-                refined_from: alignment.motion.frame_from_keyframe.inverse().translation,
-                ..Active::new(setup, active.id, active.pyramid, active.depth)
-            };
+/// Observes the newest keyframe's pixels in those keyframes with a useful baseline that were
+/// used last.
+pub(super) fn observe_old_keyframes(
+    setup: &Setup,
+    map: &Map,
+    newest: KeyframeId,
+    mut depth: DepthMap,
+) -> DepthMap {
+    let config = &setup.config.keyframes;
+    let keyframe = &map[newest];
+    let recent = map.recent_in(keyframe.fragment);
+    let others = recent.iter().rev().filter(|id| **id != newest);
+    let chosen: Vec<(&MapKeyframe, Se3, Arc<Pyramid>)> = others
+        .map(|id| &map[*id])
+        .map(|other| (other, keyframe.other_from_self(other)))
+        .filter(|(_, pose)| pose.inverse().translation.norm() >= MIN_RELATIVE_BASELINE)
+        .take(config.old_keyframes_observed)
+        .filter_map(|(other, pose)| Some((other, pose, other.pyramid()?)))
+        .collect();
+    let frames = chosen.iter().map(|(other, pose, pyramid)| {
+        let (gain, bias) = keyframe.exposure.relative(&other.exposure);
+        StereoFrame {
+            image: pyramid.level(0),
+            frame_from_keyframe: *pose,
+            gain: gain as f32,
+            bias: bias as f32,
+            residual_rms: 5.0,
+            pose_sigma_trans: 0.002,
+            pose_sigma_rot: 0.001,
+            id: other.frame_index as u32,
         }
-        self.camera.active = Some(active);
+    });
+    let frames: Vec<StereoFrame<'_>> = frames.collect();
+    if !frames.is_empty() {
+        observe(&mut depth, &frames, &setup.config.depth);
     }
-
-    /// Observes the newest keyframe's pixels in those keyframes with a useful baseline that were
-    /// used last.
-    pub(super) fn observe_old_keyframes(
-        &self,
-        newest: KeyframeId,
-        mut depth: DepthMap,
-    ) -> DepthMap {
-        let (map, config) = (&self.map, &self.setup.config.keyframes);
-        let keyframe = &map[newest];
-        let recent = map.recent_in(keyframe.fragment);
-        let others = recent.iter().rev().filter(|id| **id != newest);
-        let chosen: Vec<(&MapKeyframe, Se3, Arc<Pyramid>)> = others
-            .map(|id| &map[*id])
-            .map(|other| (other, keyframe.other_from_self(other)))
-            .filter(|(_, pose)| pose.inverse().translation.norm() >= MIN_RELATIVE_BASELINE)
-            .take(config.old_keyframes_observed)
-            .filter_map(|(other, pose)| Some((other, pose, other.pyramid()?)))
-            .collect();
-        let frames = chosen.iter().map(|(other, pose, pyramid)| {
-            let (gain, bias) = keyframe.exposure.relative(&other.exposure);
-            StereoFrame {
-                image: pyramid.level(0),
-                frame_from_keyframe: *pose,
-                gain: gain as f32,
-                bias: bias as f32,
-                residual_rms: 5.0,
-                pose_sigma_trans: 0.002,
-                pose_sigma_rot: 0.001,
-                id: other.frame_index as u32,
-            }
-        });
-        let frames: Vec<StereoFrame<'_>> = frames.collect();
-        if !frames.is_empty() {
-            observe(&mut depth, &frames, &self.setup.config.depth);
-        }
-        regularize(&mut depth, &self.setup.config.depth);
-        depth
-    }
+    regularize(&mut depth, &setup.config.depth);
+    depth
 }
 
 /// Depth of a keyframe carried over to `frame`, in a unit that makes its median 1, and that unit in

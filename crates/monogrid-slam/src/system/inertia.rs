@@ -5,13 +5,13 @@
 //! the readings go through both and the time between ([`monogrid_inertial::estimate`]).
 
 use super::constrain::covariance_of;
-use super::slam::Slam;
 use crate::graph::{Joined, Link, OdometryEdge};
 use crate::map::Map;
 use crate::policy::{PlaceEvidence, is_placed};
+use crate::setup::Setup;
 use crate::{FragmentId, KeyframeId, MAIN_MAP, TrajectoryPose};
 use monogrid_geometry::Sim3;
-use monogrid_inertial::{Estimate, Imu, Observation, estimate};
+use monogrid_inertial::{Estimate, Observation, estimate};
 
 /// Time of the path before a loss that is used, ns.
 const BEFORE_NS: i64 = 12_000_000_000;
@@ -27,67 +27,63 @@ struct Place {
     turn_sigma_rad: f64,
 }
 
-impl Slam {
-    /// The fragment that the camera is in becomes a part of the main map, where the readings say
-    /// well enough where it lies.
-    pub(super) fn join_by_inertia(&mut self) {
-        let active = self.camera.active.as_ref();
-        let fragment = active.map(|active| self.map[active.id].fragment);
-        if let Some(fragment) = fragment.filter(|id| *id != MAIN_MAP) {
-            self.join_fragment_by_inertia(fragment);
+/// A fragment that becomes a part of the main map.
+pub(super) struct Placement {
+    pub joined: Joined,
+    place: Place,
+    /// The keyframes on both sides of the loss.
+    parent: KeyframeId,
+    first: KeyframeId,
+}
+
+impl Placement {
+    /// Where a fragment lies in the main map, where the readings of an inertial sensor say so well
+    /// enough.
+    pub(super) fn of(setup: &Setup, map: &Map, fragment: FragmentId) -> Option<Self> {
+        let place = Place::of(&read(setup, map, fragment)?)?;
+        if !is_placed(&place.evidence) {
+            return None;
         }
+        let (parent, first) = ends_of_loss(map, fragment)?;
+        Some(Self {
+            joined: Joined {
+                from: fragment,
+                into: MAIN_MAP,
+            },
+            place,
+            parent,
+            first,
+        })
     }
 
-    /// The same with all fragments that are apart, at the end.
-    pub(super) fn join_all_by_inertia(&mut self) {
-        let apart = self.map.apart().map(|fragment| fragment.id);
-        for fragment in apart.collect::<Vec<_>>() {
-            self.join_fragment_by_inertia(fragment);
+    pub(super) fn main_from_fragment(&self) -> &Sim3 {
+        &self.place.main_from_fragment
+    }
+
+    /// What the graph is told once the map has the fragment there.
+    pub(super) fn link(&self, placed: &Map) -> Link {
+        Link::Odometry(self.place.link(placed, self.parent, self.first))
+    }
+}
+
+/// What the readings say of the paths before and after a loss; `None` where they say nothing.
+fn read(setup: &Setup, map: &Map, fragment: FragmentId) -> Option<Estimate> {
+    let imu = setup.imu.as_ref()?;
+    let after = map.trajectory_in(fragment);
+    let begin_ns = after.first()?.timestamp_ns;
+    let before = map.trajectory_in(MAIN_MAP);
+    let used = begin_ns - BEFORE_NS..begin_ns;
+    let before = before.iter().filter(|p| used.contains(&p.timestamp_ns));
+    let end_ns = begin_ns + AFTER_NS;
+    let after = after.iter().filter(|p| p.timestamp_ns < end_ns);
+    let seen = |part: usize| {
+        move |pose: &TrajectoryPose| Observation {
+            timestamp_ns: pose.timestamp_ns,
+            seen: Some((part, pose.world_from_camera)),
         }
-    }
-
-    fn join_fragment_by_inertia(&mut self, fragment: FragmentId) {
-        let Some(imu) = self.setup.imu.clone().filter(|_| !self.setup.is_frozen) else {
-            return;
-        };
-        // the poses must be those that a job begins with
-        self.await_graph();
-        let place = self.place_of(&imu, fragment);
-        let Some(place) = place.filter(|place| is_placed(&place.evidence)) else {
-            return;
-        };
-        let Some((parent, first)) = ends_of_loss(&self.map, fragment) else {
-            return;
-        };
-        let joined = Joined {
-            from: fragment,
-            into: MAIN_MAP,
-        };
-        self.map
-            .place(joined, &place.main_from_fragment, self.frame_index);
-        let link = place.link(&self.map, parent, first);
-        self.constrain(None, Link::Odometry(link), false);
-    }
-
-    /// Where the readings have a fragment; `None` where they say nothing.
-    fn place_of(&self, imu: &Imu, fragment: FragmentId) -> Option<Place> {
-        let after = self.map.trajectory_in(fragment);
-        let begin_ns = after.first()?.timestamp_ns;
-        let before = self.map.trajectory_in(MAIN_MAP);
-        let used = begin_ns - BEFORE_NS..begin_ns;
-        let before = before.iter().filter(|p| used.contains(&p.timestamp_ns));
-        let end_ns = begin_ns + AFTER_NS;
-        let after = after.iter().filter(|p| p.timestamp_ns < end_ns);
-        let seen = |part: usize| {
-            move |pose: &TrajectoryPose| Observation {
-                timestamp_ns: pose.timestamp_ns,
-                seen: Some((part, pose.world_from_camera)),
-            }
-        };
-        let observations: Vec<_> = before.map(seen(0)).chain(after.map(seen(1))).collect();
-        let found = estimate(imu, &observations, &self.setup.config.inertial).ok()?;
-        Place::of(&found)
-    }
+    };
+    let observations: Vec<_> = before.map(seen(0)).chain(after.map(seen(1))).collect();
+    estimate(imu, &observations, &setup.config.inertial).ok()
 }
 
 impl Place {

@@ -1,22 +1,30 @@
 //! Change of the keyframe: when a frame takes over, what is published of the one that is left, and the new one.
 
-use super::camera::Active;
 use super::outcome::Attempt;
-use super::process::Effort;
-use super::setup::Setup;
-use super::slam::Slam;
 use crate::depth_step::tracking_samples;
-use crate::map::{Exposure, FinishedKeyframe, KeyframeImage, Map, MapKeyframe, NewKeyframe, View};
+use crate::map::{FinishedKeyframe, Map, MapKeyframe, NewKeyframe};
 use crate::median::median;
 use crate::policy::{KeyframeEvidence, is_new_keyframe, is_refining};
+use crate::setup::Setup;
 use crate::sparse::dense_links;
 use crate::start::Started;
 use crate::store::Store;
-use crate::tracker::Support;
-use crate::{DepthPixel, FragmentId, KeptKeyframe, TrackingState};
+use crate::tracker::{Support, Tracked};
+use crate::view::{Exposure, KeyframeImage, View};
+use crate::{DepthPixel, FragmentId, KeptKeyframe, KeyframeConfig, KeyframeId, TrackingState};
 use monogrid_depth::{DepthMap, PixelFilter};
-use monogrid_geometry::{Rotation, Se3, Sim3, Vec3};
+use monogrid_geometry::{Rotation, Sim3, Vec3};
 use std::sync::Arc;
+
+/// What a frame with a pose is used for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Effort {
+    /// It makes the map better where it can.
+    Whole,
+    /// The next one waits already: it refines no depth. A new keyframe, without which the camera
+    /// would be lost, is made all the same.
+    Hurried,
+}
 
 /// What a tracked frame is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,50 +39,102 @@ pub(super) enum Use {
     None,
 }
 
-impl Slam {
+/// Decides what tracked frames are for, by what those since the keyframe is in use were for.
+#[derive(Debug, Default)]
+pub(super) struct KeyframePolicy {
+    /// Frames that were good enough to refine the keyframe's depth since it is in use.
+    num_mapped: usize,
+    /// Those that came after the last that did.
+    num_passed: usize,
+    /// Where that one was taken, in the keyframe.
+    refined_from: Vec3,
+}
+
+impl KeyframePolicy {
+    /// Of a keyframe for which so many frames count already.
+    pub(super) fn after(num_mapped: usize) -> Self {
+        Self {
+            num_mapped,
+            ..Self::default()
+        }
+    }
+
     /// Decides what a tracked frame is for.
-    pub(super) fn decide_use(&self, attempt: &Attempt, effort: Effort) -> Use {
-        let alignment = &attempt.tracked.alignment;
-        let keyframe_from_frame = alignment.motion.frame_from_keyframe.inverse();
-        let fragment = self.map[attempt.keyframe].fragment;
+    pub(super) fn step(&self, setup: &Setup, map: &Map, attempt: &Attempt, effort: Effort) -> Use {
+        let config = &setup.config.keyframes;
+        let num_keyframes = map.num_keyframes_in(map[attempt.keyframe].fragment);
+        self.decide(&attempt.tracked, num_keyframes, config, effort)
+    }
+
+    fn decide(
+        &self,
+        tracked: &Tracked,
+        num_keyframes: usize,
+        config: &KeyframeConfig,
+        effort: Effort,
+    ) -> Use {
+        let alignment = &tracked.alignment;
+        let place = alignment.motion.frame_from_keyframe.inverse().translation;
         let evidence = KeyframeEvidence {
-            relative_distance: keyframe_from_frame.translation.norm(),
+            relative_distance: place.norm(),
             usage: f64::from(alignment.usage),
             good_of_visible: alignment.good_of_visible,
-            num_holding: match attempt.tracked.support {
+            num_holding: match tracked.support {
                 Support::Held { num_points } => Some(num_points),
                 Support::None | Support::Confirmed => None,
             },
-            num_mapped: self.camera.active.as_ref().map_or(0, |a| a.num_mapped),
-            num_keyframes: self.map.num_keyframes_in(fragment),
+            num_mapped: self.num_mapped,
+            num_keyframes,
         };
-        if is_new_keyframe(&evidence, &self.setup.config.keyframes) {
+        let before = (self.num_mapped, self.num_passed);
+        let distance = (place - self.refined_from).norm();
+        let is_hurried = effort == Effort::Hurried;
+        if is_new_keyframe(&evidence, config) {
             Use::ChangeKeyframe
-        } else if attempt.tracked.state != TrackingState::Good {
+        } else if tracked.state != TrackingState::Good {
             Use::None
-        } else if self.is_due(&keyframe_from_frame, effort) {
+        } else if is_refining(before, distance, is_hurried, &config.refinement) {
             Use::RefineDepth
         } else {
             Use::PassOver
         }
     }
 
-    /// Whether a frame shows the keyframe in use from elsewhere than the last one that refined its depth.
-    fn is_due(&self, keyframe_from_frame: &Se3, effort: Effort) -> bool {
-        self.camera.active.as_ref().is_none_or(|active| {
-            let config = &self.setup.config.keyframes.refinement;
-            let before = (active.num_mapped, active.num_passed);
-            let distance = (keyframe_from_frame.translation - active.refined_from).norm();
-            is_refining(before, distance, effort == Effort::Hurried, config)
-        })
+    /// A frame was used to refine depth: one that was taken here, where depth may change.
+    pub(super) fn refined(&mut self, place: Option<Vec3>) {
+        self.num_mapped += 1;
+        if let Some(place) = place {
+            self.num_passed = 0;
+            self.refined_from = place;
+        }
+    }
+
+    /// A frame leaves depth as it is.
+    pub(super) fn passed_over(&mut self) {
+        self.num_mapped += 1;
+        self.num_passed += 1;
+    }
+
+    /// There is no better keyframe: one is looked for again after a while.
+    pub(super) fn wait(&mut self) {
+        self.num_mapped = 0;
+    }
+
+    #[cfg(test)]
+    pub(super) fn num_mapped(&self) -> usize {
+        self.num_mapped
     }
 }
 
 /// The keyframe in use as others need it when it is left.
-pub(super) fn finish_keyframe(setup: &Setup, map: &Map, active: &Active) -> FinishedKeyframe {
+pub(super) fn finish_keyframe(
+    setup: &Setup,
+    map: &Map,
+    id: KeyframeId,
+    depth: &DepthMap,
+) -> FinishedKeyframe {
     let (config, store) = (&setup.config, map.store());
-    let keyframe = &map[active.id];
-    let depth = &active.depth;
+    let keyframe = &map[id];
     let is_kept = config.keyframes.reactivation.enabled || keyframe.depth.is_some();
     let view = || View {
         id: keyframe.id,
@@ -170,3 +230,6 @@ fn is_worth_a_revision(known: &[DepthPixel], better: &[DepthPixel]) -> bool {
     better.len() as f64 > known.len() as f64 * MORE_PIXELS
         || relative_variance(better) < relative_variance(known) * LESS_VARIANCE
 }
+
+#[cfg(test)]
+mod tests;

@@ -8,115 +8,138 @@
 //! places, in the graph; the frames of a fragment follow their keyframes, so that the camera goes
 //! on as if nothing happened.
 
-use super::relocalise::{Recognised, Resume};
-use super::setup::Setup;
-use super::slam::Slam;
+use super::bridge::{Landing, land};
+use super::outcome::Attempt;
+use super::relocalise::{InUse, Recognised, relocalise};
+use crate::KeyframeId;
 use crate::frame::{BufferedFrame, Frame};
-use crate::graph::Link;
+use crate::graph::Relocalised;
 use crate::map::Map;
+use crate::setup::Setup;
 use crate::start::{Start, Started};
-use crate::{Fragment, FrameReport, LostReason};
-use monogrid_alignment::Motion;
 use monogrid_geometry::Se3;
 use monogrid_image::Pyramid;
+use std::collections::VecDeque;
+use std::sync::Arc;
 
 /// Frames that must be lost in a row before the camera is looked for elsewhere.
 const MIN_LOST_FRAMES: usize = 2;
 
-impl Slam {
-    /// A lost frame is looked for among all keyframes; where it is not recognised for long, a
-    /// fragment of the map is started.
-    pub(super) fn find_back(&mut self, frame: Frame, mut report: FrameReport) -> FrameReport {
-        let was_tracked = report.keyframe.is_some();
-        if was_tracked && self.camera.lost_in_a_row == 0 {
-            self.map.lose(self.frame_index);
-        }
-        self.camera.lost_in_a_row += 1;
-        match self.recognise(&frame, was_tracked) {
-            Some(recognised) => self.resume(&frame, recognised, &mut report),
-            None => self.wait_for_fragment(frame, &mut report),
-        }
-        self.stopwatch.lap(|times| &mut times.graph);
-        report
+/// Last frames with a pose that are kept, in case that the camera is lost after them: a start that
+/// shows them goes on in their map.
+pub(super) const BRIDGE_FRAMES: usize = 8;
+
+/// Looks for a camera that is lost.
+#[derive(Debug, Default)]
+pub(super) struct LossRecovery {
+    /// The last frames with a pose, the newest at the end.
+    known: VecDeque<Known>,
+    /// Frames without a pose since then.
+    lost_in_a_row: usize,
+    /// What is being done about a loss that lasts.
+    loss: Loss,
+}
+
+/// A frame with a pose.
+#[derive(Clone, Debug)]
+pub(super) struct Known {
+    pub frame_index: usize,
+    pub timestamp_ns: i64,
+    pub pyramid: Arc<Pyramid>,
+    /// The keyframe that it was tracked on.
+    pub keyframe: KeyframeId,
+    pub frame_from_keyframe: Se3,
+}
+
+/// What became of a lost frame.
+#[derive(Debug)]
+pub(super) enum Recovery {
+    /// It is still lost.
+    None,
+    /// It was recognised at a keyframe.
+    Recognised(Box<Recognised>, Box<Frame>),
+    /// A start shows the frames before the loss: the map goes on there.
+    Landed(Box<Landing>, Box<Started>),
+    /// A start shows nothing that is known.
+    Fragment(Box<Started>),
+}
+
+impl LossRecovery {
+    /// Frames without a pose since the last with one.
+    pub(super) fn lost_in_a_row(&self) -> usize {
+        self.lost_in_a_row
     }
 
-    /// Where a lost frame is; the first frames of a loss, and those before the map of an earlier
-    /// session was recognised, are not worth the same effort.
-    fn recognise(&mut self, frame: &Frame, was_tracked: bool) -> Option<Recognised> {
-        let places = &self.setup.config.graph.places;
-        let is_lost_enough = self.camera.lost_in_a_row >= MIN_LOST_FRAMES;
-        if !places.enabled || (was_tracked && !is_lost_enough) {
-            return None;
-        }
-        self.await_graph();
-        let found = self.graph.as_mut()?.recognise(&frame.pyramid);
-        self.relocalise(&found, frame)
+    /// Counts a lost frame, and says whether it is worth looking for by its appearance: not so the
+    /// first frames of a loss. Those before the map of an earlier session was recognised are.
+    pub(super) fn count(&mut self, was_tracked: bool) -> bool {
+        self.lost_in_a_row += 1;
+        !was_tracked || self.lost_in_a_row >= MIN_LOST_FRAMES
     }
 
-    /// Goes on where the camera was recognised.
-    fn resume(&mut self, frame: &Frame, recognised: Recognised, report: &mut FrameReport) {
-        let (id, alignment) = (recognised.id, recognised.alignment);
-        let left = self.leave();
-        let finished = left.as_ref().map(|left| left.id);
-        report.finished_keyframe = finished.filter(|_| !self.setup.is_frozen);
-        let view = left.and_then(|left| left.view);
-        let (keyframe, motion) = match recognised.resume {
-            Resume::Known(depth) => {
-                if view.is_some() {
-                    self.constrain(view, Link::None, false);
-                }
-                self.map.visit(id, frame.timestamp_ns, None);
-                self.use_again(id, depth);
-                report.reactivated_keyframe = Some(id);
-                (id, alignment.motion)
-            }
-            Resume::New(successor) => {
-                let newest = self.map.next_id();
-                self.map.visit(newest, frame.timestamp_ns, None);
-                self.make_keyframe(frame, id, &alignment, successor, view);
-                report.created_keyframe = true;
-                (newest, Motion::from_pose(Se3::identity()))
-            }
-        };
-        self.end_loss(keyframe, true);
-        self.camera.last = None;
-        self.believe(frame, motion);
-        report.place_anew(self.map.locate(keyframe, &motion.frame_from_keyframe));
-        report.relocalised = true;
-        report.keyframe = Some(keyframe);
-        report.covariance = alignment.covariance;
-        report.exposure_gain = alignment.gain();
+    /// Where a lost frame is, of which places that look like it were `found`. A camera that stays
+    /// lost starts anew: in the map where the start shows the last frames before the loss, else as
+    /// a fragment.
+    pub(super) fn step(
+        &mut self,
+        setup: &Setup,
+        map: &Map,
+        frame: Frame,
+        found: &[Relocalised],
+        in_use: Option<InUse<'_>>,
+    ) -> Recovery {
+        if let Some(recognised) = relocalise(setup, map, found, &frame, in_use) {
+            return Recovery::Recognised(Box::new(recognised), Box::new(frame));
+        }
+        let has_started = self.loss.advance(setup, map, frame);
+        let started = self.loss.started.as_deref().filter(|_| has_started);
+        let landing = started.and_then(|started| land(setup, map, &self.known, started));
+        match (self.loss.take_started(setup, landing.is_some()), landing) {
+            (None, _) => Recovery::None,
+            (Some(started), Some(landing)) => Recovery::Landed(Box::new(landing), started),
+            (Some(started), None) => Recovery::Fragment(started),
+        }
     }
 
-    /// A camera that stays lost starts anew: in the map where the start shows the last frames
-    /// before the loss, else as a fragment.
-    fn wait_for_fragment(&mut self, frame: Frame, report: &mut FrameReport) {
-        let has_started = self.camera.loss.advance(&self.setup, &self.map, frame);
-        let started = self.camera.loss.started.as_deref().filter(|_| has_started);
-        let landing = started.and_then(|started| self.land(started));
-        let started = (self.camera.loss).take_started(&self.setup, landing.is_some());
-        let Some(started) = started else {
-            if report.keyframe.is_none() {
-                report.reason = Some(LostReason::NotRecognised);
-            }
-            return;
-        };
-        self.await_graph();
-        let first_keyframe = self.map.next_id();
-        self.end_loss(first_keyframe, false);
-        if let Some(landing) = landing {
-            return self.begin_at(&landing, started, report);
+    /// Keeps a frame with a pose in case that the camera is lost after it.
+    pub(super) fn remember(&mut self, frame: &Frame, attempt: &Attempt) {
+        self.known.push_back(Known {
+            frame_index: frame.index,
+            timestamp_ns: frame.timestamp_ns,
+            pyramid: Arc::clone(&frame.pyramid),
+            keyframe: attempt.keyframe,
+            frame_from_keyframe: attempt.tracked.alignment.motion.frame_from_keyframe,
+        });
+        while self.known.len() > BRIDGE_FRAMES {
+            self.known.pop_front();
         }
-        let id = self.map.next_fragment();
-        let fragment = Fragment::begun(id, first_keyframe, started.keyframe.index);
-        self.map.begin_fragment(fragment);
-        self.begin_map(id, started, report);
+    }
+
+    #[cfg(test)]
+    pub(super) fn known(&self) -> &VecDeque<Known> {
+        &self.known
+    }
+
+    /// Forgets these frames: a map begins that does not know them.
+    pub(super) fn forget(&mut self) {
+        self.known.clear();
+    }
+
+    /// The frames of the loss, as far as they were kept.
+    pub(super) fn take_frames(&mut self) -> Vec<BufferedFrame> {
+        self.loss.take_frames()
+    }
+
+    /// The camera has a pose again; whether it had none.
+    pub(super) fn end(&mut self) -> bool {
+        self.loss = Loss::default();
+        std::mem::take(&mut self.lost_in_a_row) > 0
     }
 }
 
 /// What is done about a loss that lasts.
 #[derive(Debug, Default)]
-pub(super) struct Loss {
+struct Loss {
     /// Time of the last frame.
     last_ns: Option<i64>,
     /// Time of the loss in which the camera saw texture.
@@ -133,7 +156,7 @@ const MAX_STEP_NS: i64 = 200_000_000;
 
 impl Loss {
     /// Brings the start of a new fragment forward by a frame; whether it has just succeeded.
-    pub(super) fn advance(&mut self, setup: &Setup, map: &Map, frame: Frame) -> bool {
+    fn advance(&mut self, setup: &Setup, map: &Map, frame: Frame) -> bool {
         let (config, graph) = (&setup.config.fragments, &setup.config.graph);
         let can_be_joined = graph.enabled && graph.places.enabled && !setup.is_frozen;
         if !config.enabled || !can_be_joined || map.apart().count() >= config.max_apart {
@@ -144,11 +167,10 @@ impl Loss {
     }
 
     /// What the start has found, to be used, where the loss has lasted long enough or need not.
-    pub(super) fn take_started(&mut self, setup: &Setup, need_not_last: bool) -> Option<Started> {
+    fn take_started(&mut self, setup: &Setup, need_not_last: bool) -> Option<Box<Started>> {
         let lost_secs = self.textured_ns as f64 * 1e-9;
         let is_due = need_not_last || lost_secs >= setup.config.fragments.min_lost_secs;
-        let started = self.started.take_if(|_| is_due);
-        started.map(|started| *started)
+        self.started.take_if(|_| is_due)
     }
 
     /// Brings the start forward; frames after it wait to be tracked.
@@ -168,7 +190,7 @@ impl Loss {
     }
 
     /// The frames of the loss, as far as they were kept.
-    pub(super) fn take_frames(&mut self) -> Vec<BufferedFrame> {
+    fn take_frames(&mut self) -> Vec<BufferedFrame> {
         match (self.start.take(), self.started.take()) {
             (_, Some(started)) => started.into_frames(),
             (Some(start), None) => start.into_frames(),
@@ -205,3 +227,6 @@ fn has_texture(pyramid: &Pyramid) -> bool {
     }
     textured as f64 >= MIN_SHARE * (width * height) as f64
 }
+
+#[cfg(test)]
+mod tests;

@@ -6,9 +6,9 @@
 
 use super::points::adjust_whole;
 use super::sessions::{restored, stored};
-use super::setup::Setup;
 use crate::KeyframeCamera;
 use crate::graph::{GraphJob, KeyframeGraph};
+use crate::setup::Setup;
 use crate::sparse::shared_points;
 use crate::store::Store;
 use crate::stored::{ContinueError, StoredKeyframe, StoredMap, StoredPoint};

@@ -2,30 +2,26 @@
 //!
 //! ```text
 //! process: one frame
-//!   -> begin            the first keyframe, once `start` has found one
-//!   -> tracking         each frame on the keyframe in use
-//!        believed:       -> tracking     frames of a loss that has ended, backwards
-//!                        -> keyframes    what the frame is for
-//!                        -> depth        refine the keyframe
-//!           -> change    or leave it     -> reactivate   for one that is known
-//!                                        -> points       for the frame, placed by the sparse layer
-//!                                        -> constrain    what the graph is told about it
-//!        lost: -> lost                   -> relocalise   find back
-//!                                        -> begin        or begin a fragment of the map
-//!                                        -> bridge        or go on in the map where the start shows it
-//!                                        -> inertia       or where an inertial sensor has it, later
-//!   -> outcome          the report on the frame
-//!   -> odometry         motion without corrections
+//!   -> Tracker          its pose on the keyframe in use
+//!        believed:       -> KeyframePolicy  what the frame is for
+//!                        -> DepthStage      it refines the depth of the keyframe in use
+//!                        -> NextKeyframe    or another keyframe takes over: one that is known
+//!                                           (`reactivate`), or the frame
+//!                        -> GraphLink       what the graph is told about it
+//!        lost:           -> LossRecovery    recognised (`relocalise`), or a start that goes on in
+//!                                           the map (`bridge`), or begins a fragment
+//!                        -> Placement       where an inertial sensor has that fragment (`inertia`)
+//!   -> Odometry         motion without corrections
+//! apply: what stages found changes the map, and the state of other stages
 //! sessions: what is kept for a later run
 //! merge: maps of several runs as one
 //! ```
 //!
-//! Stages read settings, map and frame; what they find changes the map by the methods of
-//! [`Map`](crate::map::Map) alone.
+//! Stages have state of their own. They read settings and map; `apply` alone changes the map, by
+//! the methods of [`Map`](crate::map::Map).
 
-mod begin;
+mod apply;
 mod bridge;
-mod camera;
 mod change;
 mod constrain;
 mod depth;
@@ -41,12 +37,10 @@ mod process;
 mod reactivate;
 mod relocalise;
 mod sessions;
-mod setup;
 mod slam;
-mod steps;
 mod tracking;
 
+pub use keyframes::Effort;
 pub use merge::{MergedMaps, merge_maps};
-pub use process::{Effort, Told};
-pub(crate) use setup::Setup;
+pub use process::Told;
 pub use slam::{KeyframeRoom, Slam};

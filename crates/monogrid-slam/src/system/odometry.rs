@@ -6,9 +6,8 @@
 //!
 //! A step has the length that the unit of its keyframe says at the time, since a single camera has no other.
 
-use super::slam::Slam;
 use crate::FrameReport;
-use crate::map::Record;
+use crate::map::{Map, Record};
 use monogrid_geometry::Se3;
 
 /// Where odometry stands.
@@ -19,21 +18,21 @@ pub(super) struct Odometry {
     last: Option<Record>,
 }
 
-impl Slam {
+impl Odometry {
     /// Adds the motion since the last frame with a pose; where odometry is then. `None` for a frame without one.
-    pub(super) fn advance_odometry(&mut self, report: &FrameReport) -> Option<Se3> {
+    pub(super) fn step(&mut self, map: &Map, report: &FrameReport) -> Option<Se3> {
         let world_from_camera = report.world_from_camera?;
-        let tracked = self.map.last_record().copied();
+        let tracked = map.last_record().copied();
         let this = tracked.filter(|record| record.frame_index == report.index);
-        let step = self.odometry.last.zip(this);
-        let step = step.and_then(|(last, this)| self.map.tracked_step(&last, &this));
-        let odom_from_camera = match (self.odometry.odom_from_camera, step) {
+        let step = self.last.zip(this);
+        let step = step.and_then(|(last, this)| map.tracked_step(&last, &this));
+        let odom_from_camera = match (self.odom_from_camera, step) {
             (Some(odom_from_last), Some(last_from_this)) => odom_from_last * last_from_this,
             // How the camera came here while it was lost is not known.
             (Some(odom_from_last), None) => odom_from_last,
             (None, _) => world_from_camera,
         };
-        self.odometry = Odometry {
+        *self = Self {
             odom_from_camera: Some(odom_from_camera),
             last: this,
         };

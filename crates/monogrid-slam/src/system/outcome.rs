@@ -2,13 +2,15 @@
 
 use crate::frame::Frame;
 use crate::tracker::Tracked;
-use crate::{FrameReport, InFragment, KeyframeId, MAIN_MAP, TrackingState};
+use crate::{FrameReport, InFragment, KeyframeId, LostReason, MAIN_MAP, TrackingState};
 
 /// A frame tracked on a keyframe.
 #[derive(Debug)]
 pub(super) struct Attempt {
     pub keyframe: KeyframeId,
     pub tracked: Tracked,
+    /// Why its pose is to be doubted although it is believed.
+    pub doubt: Option<LostReason>,
 }
 
 /// What a frame did to the keyframe in use.
@@ -25,7 +27,8 @@ impl FrameReport {
     /// What tracking on the keyframe in use says of a frame, believed or not; lost without such a keyframe.
     pub(super) fn of(frame: &Frame, attempt: Option<&Attempt>) -> Self {
         let mut report = Self::new(frame.index, frame.timestamp_ns, TrackingState::Lost);
-        if let Some(Attempt { keyframe, tracked }) = attempt {
+        if let Some(attempt) = attempt {
+            let tracked = &attempt.tracked;
             let alignment = &tracked.alignment;
             report.state = tracked.state;
             report.reason = tracked.reason;
@@ -33,9 +36,13 @@ impl FrameReport {
             report.good_share = alignment.good_of_visible;
             report.usage = alignment.usage;
             report.exposure_gain = alignment.gain();
-            report.keyframe = Some(*keyframe);
+            report.keyframe = Some(attempt.keyframe);
             if tracked.state != TrackingState::Lost {
                 report.covariance = alignment.covariance;
+            }
+            if attempt.doubt.is_some() && tracked.state == TrackingState::Good {
+                report.state = TrackingState::Degraded;
+                report.reason = attempt.doubt;
             }
         }
         report

@@ -1,8 +1,8 @@
 //! The newest keyframe in the sparse layer, and at the end all of them.
 
-use super::setup::Setup;
 use crate::FragmentId;
 use crate::map::Map;
+use crate::setup::Setup;
 use crate::sparse::{
     LeftLens, adjust_all, adjust_all_to_images, adjust_window, anchor, dense_links, find_again,
     register, unconfirmed, world_from_keyframes,

@@ -1,33 +1,22 @@
 //! What is done with a frame, in order.
 
-use super::camera::Camera;
 use super::constrain::GraphLink;
-use super::keyframes::Use;
-use super::points::adjust_whole;
+use super::depth::DepthStage;
+use super::keyframes::{Effort, KeyframePolicy};
+use super::lost::LossRecovery;
+use super::relocalise::InUse;
 use super::slam::Slam;
+use super::tracking::Tracker;
 use crate::frame::Frame;
 use crate::graph::Link;
 use crate::map::Event;
-use crate::policy::larger_map;
 use crate::report::Stopwatch;
 use crate::start::Start;
-use crate::{
-    FragmentId, FrameInput, FrameReport, KeyframeId, LostReason, MAIN_MAP, Scale, TrackingState,
-};
+use crate::{FragmentId, FrameInput, FrameReport, KeyframeId, LostReason, TrackingState};
 use monogrid_image::GrayImage;
 
 /// Hears where a frame is, and says what it is used for.
 pub type Told<'a> = dyn FnMut(&FrameReport) -> Effort + Send + 'a;
-
-/// What a frame with a pose is used for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Effort {
-    /// It makes the map better where it can.
-    Whole,
-    /// The next one waits already: it refines no depth. A new keyframe, without which the camera
-    /// would be lost, is made all the same.
-    Hurried,
-}
 
 impl Slam {
     /// Processes the next frame.
@@ -49,7 +38,7 @@ impl Slam {
             self.events = self.map.take_events();
             report.joined_fragments = joined(&self.events);
             let told = report.odom_from_camera;
-            report.odom_from_camera = told.or_else(|| self.advance_odometry(&report));
+            report.odom_from_camera = told.or_else(|| self.odometry.step(&self.map, &report));
             report.milliseconds = self.stopwatch.times;
             report
         })
@@ -83,35 +72,12 @@ impl Slam {
             return None;
         }
         self.await_graph();
-        let left = self.leave()?;
+        let (last, view) = self.leave_for_good()?;
         self.join_all_by_inertia();
         self.await_graph();
-        self.constrain(left.view, Link::None, true);
+        self.constrain(view, Link::None, true);
         self.await_graph();
-        Some(left.id)
-    }
-
-    /// Adjusts all that was mapped.
-    fn adjust_all(&mut self) {
-        for fragment in self.map.grown_fragments() {
-            adjust_whole(&self.setup, &mut self.map, fragment);
-        }
-        self.prefer_larger_map();
-        self.events = self.map.take_events();
-    }
-
-    /// The largest fragment is the result, where nobody has asked for the first one: its unit and
-    /// its place say nothing.
-    fn prefer_larger_map(&mut self) {
-        if self.map.scale() == Scale::Metric || self.map.is_restored() {
-            return;
-        }
-        let apart = self.map.apart();
-        let apart = apart.map(|f| (f.id, self.map.num_frames_in(f.id)));
-        let frames = self.map.num_frames_in(MAIN_MAP);
-        if let Some(larger) = larger_map(frames, apart, &self.setup.config.fragments) {
-            self.map.exchange(larger);
-        }
+        Some(last)
     }
 
     /// Gives back the memory that only more frames would need: that of tracking and of the graph's
@@ -124,7 +90,10 @@ impl Slam {
     }
 
     fn release_camera(&mut self) {
-        self.camera = Camera::default();
+        self.tracker = Tracker::default();
+        self.policy = KeyframePolicy::default();
+        self.depth = DepthStage::default();
+        self.recovery = LossRecovery::default();
         self.start = None;
         if let Some(graph) = &mut self.graph {
             graph.end();
@@ -147,8 +116,8 @@ impl Slam {
 
     /// A byte-identical image has the pose of the one before and adds no information.
     fn repeat(&mut self, input: &FrameInput) -> Option<FrameReport> {
-        let (last, active) = (self.camera.last.as_ref()?, self.camera.active.as_ref()?);
-        if self.camera.lost_in_a_row > 0 || *last.pyramid.level(0) != input.image {
+        let (last, active) = (self.tracker.last.as_ref()?, self.tracker.active.as_ref()?);
+        if self.recovery.lost_in_a_row() > 0 || *last.pyramid.level(0) != input.image {
             return None;
         }
         let keyframe = active.id;
@@ -159,7 +128,7 @@ impl Slam {
             exposure_gain: last.motion.log_gain.exp() as f32,
             ..FrameReport::new(input.index, input.timestamp_ns, TrackingState::Good)
         };
-        self.map.track(input.index, input.timestamp_ns, pose);
+        self.store_pose(input.index, input.timestamp_ns, pose);
         report.place(self.map.locate(keyframe, &pose));
         Some(report)
     }
@@ -181,8 +150,7 @@ impl Slam {
                 report.reason = Some(reason);
             }
             Ok(started) => {
-                self.map.set_scale(started.scale);
-                self.begin_map(MAIN_MAP, *started, &mut report);
+                self.begin_main_map(*started, &mut report);
             }
         }
         report
@@ -195,7 +163,8 @@ impl Slam {
         self.follow_graph(update);
         self.stopwatch.lap(|times| &mut times.graph);
 
-        let attempt = self.track_frame(&frame);
+        let lost_in_a_row = self.recovery.lost_in_a_row();
+        let attempt = (self.tracker).step(&self.setup, &self.map, &frame, lost_in_a_row);
         self.stopwatch.lap(|times| &mut times.tracking);
         let mut report = FrameReport::of(&frame, attempt.as_ref());
         let believed = attempt.filter(|_| report.state != TrackingState::Lost);
@@ -203,35 +172,35 @@ impl Slam {
             return self.find_back(frame, report);
         };
         let alignment = &attempt.tracked.alignment;
-        let doubt = (self.camera.doubt).judge(alignment, &self.setup.config.tracking);
-        if doubt.is_some() && report.state == TrackingState::Good {
-            report.state = TrackingState::Degraded;
-            report.reason = doubt;
-        }
         let pose = &alignment.motion.frame_from_keyframe;
         report.place(self.map.locate(attempt.keyframe, pose));
-        self.remember(&frame, &attempt);
-        self.find_missed(&frame, alignment.motion);
-        self.end_loss(attempt.keyframe, false);
-        self.believe(&frame, alignment.motion);
+        self.accept(&frame, &attempt);
         let effort = told.map_or(Effort::Whole, |told| {
-            report.odom_from_camera = self.advance_odometry(&report);
+            report.odom_from_camera = self.odometry.step(&self.map, &report);
             told(&report)
         });
+        let what = (self.policy).step(&self.setup, &self.map, &attempt, effort);
+        self.make_use(&frame, alignment, what, &mut report);
+        report
+    }
 
-        match self.decide_use(&attempt, effort) {
-            Use::RefineDepth => self.observe(&frame, alignment),
-            Use::ChangeKeyframe => {
-                let change = self.change_keyframe(&frame, alignment);
-                report.finished_keyframe = change.finished;
-                report.created_keyframe = change.created;
-                report.reactivated_keyframe = change.reactivated;
-                self.join_by_inertia();
+    /// A lost frame is looked for among all keyframes; where it is not recognised for long, a
+    /// fragment of the map is started.
+    fn find_back(&mut self, frame: Frame, mut report: FrameReport) -> FrameReport {
+        let was_tracked = report.keyframe.is_some();
+        let is_worth_it = self.count_lost(was_tracked);
+        let mut found = Vec::new();
+        if is_worth_it && self.setup.config.graph.places.enabled {
+            self.await_graph();
+            if let Some(graph) = self.graph.as_mut() {
+                found = graph.recognise(&frame.pyramid);
             }
-            Use::PassOver => self.pass_over(),
-            Use::None => {}
         }
-        self.stopwatch.lap(|times| &mut times.depth);
+        let (tracker, depth) = (&self.tracker, &self.depth);
+        let in_use = InUse::of(tracker, depth);
+        let recovery = (self.recovery).step(&self.setup, &self.map, frame, &found, in_use);
+        self.recover(recovery, &mut report);
+        self.stopwatch.lap(|times| &mut times.graph);
         report
     }
 
@@ -254,14 +223,6 @@ impl Slam {
             ..last
         }
     }
-
-    /// The frame leaves the depth of the keyframe in use as it is.
-    fn pass_over(&mut self) {
-        if let Some(active) = self.camera.active.as_mut() {
-            active.num_mapped += 1;
-            active.num_passed += 1;
-        }
-    }
 }
 
 /// Fragments that became a part of another, by identity.
@@ -277,7 +238,7 @@ fn joined(events: &[Event]) -> Vec<FragmentId> {
 
 #[cfg(test)]
 mod tests {
-    use super::Effort;
+    use crate::Effort;
     use crate::policy::FIRST_FRAMES;
     use crate::test_world::small_demo;
     use crate::{FrameInput, FrameReport, RefinementConfig, Slam, SlamConfig, TrackingState};
@@ -313,10 +274,9 @@ mod tests {
             let report = slam.process_frame(input(k, 1));
             report.world_from_camera.is_some()
         });
-        let active = slam.camera.active.as_ref().unwrap();
-        assert_eq!(active.id, 0);
-        assert_eq!(active.num_mapped, FRAMES - 1, "all of them count");
-        (active.num_refined as usize, is_tracked)
+        assert_eq!(slam.tracker.active.as_ref().unwrap().id, 0);
+        assert_eq!(slam.policy.num_mapped(), FRAMES - 1, "all of them count");
+        (slam.depth.num_refined() as usize, is_tracked)
     }
 
     /// Every third of as many frames makes some keyframes.
@@ -370,8 +330,8 @@ mod tests {
         let has_pose = |(report, _): &(FrameReport, _)| report.world_from_camera.is_some();
         assert!(hurried.iter().all(has_pose));
         let [refined, whole] = [&slam, &whole_slam].map(|slam| {
-            let active = slam.camera.active.as_ref().unwrap();
-            (active.num_refined as usize, active.num_mapped)
+            let num_refined = slam.depth.num_refined() as usize;
+            (num_refined, slam.policy.num_mapped())
         });
         assert!(refined.0 * 4 <= refined.1, "{refined:?}");
         assert!(whole.0 > refined.0, "{whole:?} {refined:?}");

@@ -6,14 +6,13 @@
 //! new keyframe instead: a loop is measured, not hidden.
 
 use super::depth::stored_depth;
-use super::setup::Setup;
-use super::slam::Slam;
 use super::tracking::track_on_other;
 use crate::config::ReactivationConfig;
 use crate::depth_step::tracking_samples;
 use crate::frame::Frame;
-use crate::map::MapKeyframe;
+use crate::map::{Map, MapKeyframe};
 use crate::policy::{aligned_score, keyframe_score};
+use crate::setup::Setup;
 use crate::tracker::Tracked;
 use crate::{KeyframeId, TrackingState};
 use monogrid_alignment::{Alignment, Motion};
@@ -57,69 +56,69 @@ pub(super) struct Confirmed {
     pub alignment: Alignment,
 }
 
-impl Slam {
-    /// The closest keyframe that shows what the frame shows, and on which it can be tracked to
-    /// where the poses say that it is.
-    pub(super) fn find_known_view(&self, frame: &Frame, motion: &Motion) -> Option<Confirmed> {
-        let (setup, map) = (&self.setup, &self.map);
-        let config = in_use(setup);
-        if !config.enabled {
-            return None;
-        }
-        let current = &map[self.camera.active.as_ref()?.id];
-        let exposure = current.exposure.then(motion.log_gain.exp(), motion.bias);
-        let (candidates, limits) = choose(self.candidates(current, motion, &config), &config);
-        candidates.into_iter().find_map(|candidate| {
-            let keyframe = &map[candidate.id];
-            let depth = stored_depth(setup, keyframe)?;
-            let (gain, bias) = keyframe.exposure.relative(&exposure);
-            let predicted = Motion {
-                log_gain: gain.ln(),
-                bias,
-                ..Motion::from_pose(candidate.frame_from_candidate)
-            };
-            let samples = tracking_samples(&depth, &setup.config.tracking);
-            let tracked = track_on_other(setup, &*keyframe.pyramid()?, &samples, frame, predicted);
-            confirms(setup, &candidate, &tracked, limits).then_some(Confirmed {
-                id: candidate.id,
-                depth,
-                alignment: tracked.alignment,
+/// The closest keyframe that shows what the frame shows, and on which it can be tracked to
+/// where the poses say that it is.
+pub(super) fn find_known_view(
+    setup: &Setup,
+    map: &Map,
+    (in_use_now, motion): (KeyframeId, &Motion),
+    frame: &Frame,
+) -> Option<Confirmed> {
+    let config = in_use(setup);
+    if !config.enabled {
+        return None;
+    }
+    let current = &map[in_use_now];
+    let exposure = current.exposure.then(motion.log_gain.exp(), motion.bias);
+    let (candidates, limits) = choose(candidates(setup, map, (current, motion), &config), &config);
+    candidates.into_iter().find_map(|candidate| {
+        let keyframe = &map[candidate.id];
+        let depth = stored_depth(setup, keyframe)?;
+        let (gain, bias) = keyframe.exposure.relative(&exposure);
+        let predicted = Motion {
+            log_gain: gain.ln(),
+            bias,
+            ..Motion::from_pose(candidate.frame_from_candidate)
+        };
+        let samples = tracking_samples(&depth, &setup.config.tracking);
+        let tracked = track_on_other(setup, &*keyframe.pyramid()?, &samples, frame, predicted);
+        confirms(setup, &candidate, &tracked, limits).then_some(Confirmed {
+            id: candidate.id,
+            depth,
+            alignment: tracked.alignment,
+        })
+    })
+}
+
+/// Keyframes that should show about the same as the frame.
+fn candidates(
+    setup: &Setup,
+    map: &Map,
+    (current, motion): (&MapKeyframe, &Motion),
+    config: &ReactivationConfig,
+) -> Vec<Candidate> {
+    let keyframe_from_frame = Sim3::from(motion.frame_from_keyframe.inverse());
+    let world_from_frame = current.world_from_keyframe * keyframe_from_frame;
+    let width = setup.mask.width() as f64;
+    let field_of_view = 2.0 * (0.5 * width / setup.pinhole.fx).atan();
+    let recent = map.recent_in(current.fragment);
+    let others = recent.iter().rev().skip(1 + config.min_keyframes_between);
+    others
+        .map(|id| &map[*id])
+        .filter(|keyframe| keyframe.rank >= config.first_keyframe && keyframe.depth.is_some())
+        .filter_map(|keyframe| {
+            let candidate_from_frame = keyframe.world_from_keyframe.inverse() * world_from_frame;
+            let turned = candidate_from_frame.rotation.angle() / field_of_view;
+            let distance = candidate_from_frame.translation.norm();
+            let usage = 1.0 - turned.min(1.0);
+            let score = keyframe_score(distance, usage, &setup.config.keyframes);
+            (score < MAX_PREDICTED_SCORE).then_some(Candidate {
+                id: keyframe.id,
+                frame_from_candidate: candidate_from_frame.to_se3().inverse(),
+                score,
             })
         })
-    }
-
-    /// Keyframes that should show about the same as the frame.
-    fn candidates(
-        &self,
-        current: &MapKeyframe,
-        motion: &Motion,
-        config: &ReactivationConfig,
-    ) -> Vec<Candidate> {
-        let setup = &self.setup;
-        let keyframe_from_frame = Sim3::from(motion.frame_from_keyframe.inverse());
-        let world_from_frame = current.world_from_keyframe * keyframe_from_frame;
-        let width = setup.mask.width() as f64;
-        let field_of_view = 2.0 * (0.5 * width / setup.pinhole.fx).atan();
-        let recent = self.map.recent_in(current.fragment);
-        let others = recent.iter().rev().skip(1 + config.min_keyframes_between);
-        others
-            .map(|id| &self.map[*id])
-            .filter(|keyframe| keyframe.rank >= config.first_keyframe && keyframe.depth.is_some())
-            .filter_map(|keyframe| {
-                let candidate_from_frame =
-                    keyframe.world_from_keyframe.inverse() * world_from_frame;
-                let turned = candidate_from_frame.rotation.angle() / field_of_view;
-                let distance = candidate_from_frame.translation.norm();
-                let usage = 1.0 - turned.min(1.0);
-                let score = keyframe_score(distance, usage, &setup.config.keyframes);
-                (score < MAX_PREDICTED_SCORE).then_some(Candidate {
-                    id: keyframe.id,
-                    frame_from_candidate: candidate_from_frame.to_se3().inverse(),
-                    score,
-                })
-            })
-            .collect()
-    }
+        .collect()
 }
 
 /// The settings; where no keyframe can be made, any closer one is better than none.
@@ -168,4 +167,49 @@ fn confirms(setup: &Setup, candidate: &Candidate, tracked: &Tracked, limits: Lim
         && aligned_score(alignment, &setup.config.keyframes) < limits.score
         && alignment.usage * alignment.good_of_visible >= limits.good_usage
         && disagreement.log().norm() <= limits.disagreement
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Candidates with these scores, by identity.
+    fn candidates(scores: &[f64]) -> Vec<Candidate> {
+        let candidate = |(id, score): (usize, &f64)| Candidate {
+            id: id as KeyframeId,
+            frame_from_candidate: Se3::identity(),
+            score: *score,
+        };
+        scores.iter().enumerate().map(candidate).collect()
+    }
+
+    fn ids(candidates: &[Candidate]) -> Vec<KeyframeId> {
+        candidates.iter().map(|candidate| candidate.id).collect()
+    }
+
+    #[test]
+    fn the_closest_two_are_tried_the_older_of_equal_ones_first() {
+        let config = ReactivationConfig {
+            crowd: 5,
+            ..ReactivationConfig::default()
+        };
+        let (chosen, limits) = choose(candidates(&[0.9, 0.2, 0.5, 0.2]), &config);
+        assert_eq!(ids(&chosen), [1, 3]);
+        assert_eq!(limits.score, config.max_score);
+        assert_eq!(limits.disagreement, config.max_disagreement);
+        assert_eq!(limits.good_usage, MIN_GOOD_USAGE);
+    }
+
+    #[test]
+    fn a_crowd_of_candidates_is_tried_with_wider_limits() {
+        let config = ReactivationConfig {
+            crowd: 4,
+            ..ReactivationConfig::default()
+        };
+        let (chosen, limits) = choose(candidates(&[0.9, 0.2, 0.5, 0.3, 0.8]), &config);
+        assert_eq!(ids(&chosen), [1, 3, 2, 4]);
+        assert_eq!(limits.score, CROWDED_MAX_SCORE);
+        assert_eq!(limits.disagreement, CROWDED_MAX_DISAGREEMENT);
+        assert_eq!(limits.good_usage, 0.0);
+    }
 }

@@ -1,11 +1,12 @@
 //! Relocalisation: a camera that is lost finds back to any keyframe that it sees.
 
-use super::depth::{Successor, sampled_depth, stored_depth, successor, unpacked};
-use super::slam::Slam;
-use super::tracking::track_on_other;
+use super::depth::{DepthStage, Successor, sampled_depth, stored_depth, successor, unpacked};
+use super::tracking::{Tracker, track_on_other};
 use crate::frame::Frame;
 use crate::graph::Relocalised;
+use crate::map::{Map, MapKeyframe};
 use crate::policy::aligned_score;
+use crate::setup::Setup;
 use crate::tracker::Tracked;
 use crate::{KeyframeId, TrackingState};
 use monogrid_alignment::{Alignment, Motion};
@@ -28,52 +29,81 @@ pub(super) enum Resume {
     New(Successor),
 }
 
-impl Slam {
-    /// The first of the keyframes found by appearance on which the frame can be tracked.
-    pub(super) fn relocalise(&self, found: &[Relocalised], frame: &Frame) -> Option<Recognised> {
-        found.iter().find_map(|found| {
-            // from the pose that its points give
-            let predicted = Motion::from_pose(found.frame_from_keyframe);
-            let view = &found.view;
-            let (pyramid, samples) = (view.image.pyramid()?, view.samples.get()?);
-            let tracked = track_on_other(&self.setup, &pyramid, &samples, frame, predicted);
-            if tracked.state != TrackingState::Good {
-                return None;
-            }
-            Some(Recognised {
-                id: view.id,
-                resume: self.resume_at(found, &tracked, frame)?,
-                alignment: tracked.alignment,
-            })
+/// The keyframe in use, and its depth.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct InUse<'a> {
+    pub keyframe: KeyframeId,
+    pub depth: &'a DepthMap,
+}
+
+impl<'a> InUse<'a> {
+    /// What is tracked on, if anything is.
+    pub(super) fn of(tracker: &Tracker, depth: &'a DepthStage) -> Option<Self> {
+        Some(Self {
+            keyframe: tracker.active.as_ref()?.id,
+            depth: depth.get()?,
         })
     }
+}
 
-    /// Goes on with the recognised keyframe where the frame shows about the same, else with the frame.
-    fn resume_at(&self, found: &Relocalised, tracked: &Tracked, frame: &Frame) -> Option<Resume> {
-        let (setup, view) = (&self.setup, &found.view);
-        if setup.is_frozen || self.is_same_view(view.id, &tracked.alignment) {
-            return self.depth_as_left(view.id).map(Resume::Known);
+/// The first of the keyframes found by appearance on which the frame can be tracked.
+pub(super) fn relocalise(
+    setup: &Setup,
+    map: &Map,
+    found: &[Relocalised],
+    frame: &Frame,
+    in_use: Option<InUse<'_>>,
+) -> Option<Recognised> {
+    found.iter().find_map(|found| {
+        // from the pose that its points give
+        let predicted = Motion::from_pose(found.frame_from_keyframe);
+        let view = &found.view;
+        let (pyramid, samples) = (view.image.pyramid()?, view.samples.get()?);
+        let tracked = track_on_other(setup, &pyramid, &samples, frame, predicted);
+        if tracked.state != TrackingState::Good {
+            return None;
         }
-        // as it was when the keyframe was finished
-        let image = view.image.pyramid()?.level(0).clone();
-        let depth = sampled_depth(setup, image, &view.samples.get()?)?;
-        successor(setup, &depth, frame, &tracked.alignment.motion).map(Resume::New)
-    }
+        Some(Recognised {
+            id: view.id,
+            resume: resume_at(setup, map, (found, &tracked), frame, in_use)?,
+            alignment: tracked.alignment,
+        })
+    })
+}
 
-    fn is_same_view(&self, id: KeyframeId, alignment: &Alignment) -> bool {
-        let config = &self.setup.config.keyframes;
-        config.reactivation.enabled
-            && self.map[id].rank >= config.reactivation.first_keyframe
-            && aligned_score(alignment, config) < config.reactivation.max_score
+/// Goes on with the recognised keyframe where the frame shows about the same, else with the frame.
+fn resume_at(
+    setup: &Setup,
+    map: &Map,
+    (found, tracked): (&Relocalised, &Tracked),
+    frame: &Frame,
+    in_use: Option<InUse<'_>>,
+) -> Option<Resume> {
+    let view = &found.view;
+    if setup.is_frozen || is_same_view(setup, map[view.id].rank, &tracked.alignment) {
+        return depth_as_left(setup, &map[view.id], in_use).map(Resume::Known);
     }
+    // as it was when the keyframe was finished
+    let image = view.image.pyramid()?.level(0).clone();
+    let depth = sampled_depth(setup, image, &view.samples.get()?)?;
+    successor(setup, &depth, frame, &tracked.alignment.motion).map(Resume::New)
+}
 
-    /// Depth of a keyframe as it was left, or will be if it is the one in use.
-    fn depth_as_left(&self, id: KeyframeId) -> Option<DepthMap> {
-        let (setup, keyframe) = (&self.setup, &self.map[id]);
-        let active = self.camera.active.as_ref();
-        match active.filter(|active| active.id == id && !setup.is_frozen) {
-            Some(active) => unpacked(setup, keyframe, &active.depth.packed()),
-            None => stored_depth(setup, keyframe),
-        }
+fn is_same_view(setup: &Setup, rank: u32, alignment: &Alignment) -> bool {
+    let config = &setup.config.keyframes;
+    config.reactivation.enabled
+        && rank >= config.reactivation.first_keyframe
+        && aligned_score(alignment, config) < config.reactivation.max_score
+}
+
+/// Depth of a keyframe as it was left, or will be if it is the one in use.
+fn depth_as_left(
+    setup: &Setup,
+    keyframe: &MapKeyframe,
+    in_use: Option<InUse<'_>>,
+) -> Option<DepthMap> {
+    match in_use.filter(|in_use| in_use.keyframe == keyframe.id && !setup.is_frozen) {
+        Some(in_use) => unpacked(setup, keyframe, &in_use.depth.packed()),
+        None => stored_depth(setup, keyframe),
     }
 }

@@ -4,88 +4,21 @@
 //! from then on all is as after any loss, and a camera that begins elsewhere starts a fragment. Keyframes without constraints (the
 //! earlier run was killed) are held where they are. Where the map must not change (`is_frozen`), no keyframe is made, refined or moved.
 
-use super::constrain::GraphLink;
 use super::depth::published_depth;
-use super::setup::Setup;
-use super::slam::Slam;
 use crate::depth_step::tracking_samples;
 use crate::graph::RestoredGraph;
-use crate::map::{Exposure, Map, MapKeyframe, Observation, SeenPoints, SparsePoint, View};
+use crate::map::{Map, MapKeyframe, Observation, SeenPoints, SparsePoint};
+use crate::setup::Setup;
 use crate::sparse::{dense_links, pixel_size};
 use crate::store::Store;
 use crate::stored::{
-    ContinueError, Purpose, StoredEdge, StoredKeyframe, StoredLink, StoredMap, StoredPoint,
+    ContinueError, StoredEdge, StoredKeyframe, StoredLink, StoredMap, StoredPoint,
 };
-use crate::{FragmentId, KeptKeyframe, KeyframeId, SlamConfig, SlamError, TrackedFrame};
+use crate::view::{Exposure, View};
+use crate::{FragmentId, KeptKeyframe, KeyframeId};
 use monogrid_geometry::{Pinhole, Vec2};
-use monogrid_image::Mask;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-
-impl Slam {
-    /// A system that goes on with a map. Until the camera is recognised in it, frames are lost.
-    ///
-    /// # Errors
-    /// As [`Slam::new`], and when the map is damaged, belongs to images of another size, or the settings keep
-    /// places from being recognised.
-    pub fn continue_from(
-        config: SlamConfig,
-        pinhole: Pinhole,
-        mask: Mask,
-        seed: u64,
-        map: StoredMap,
-        purpose: Purpose,
-    ) -> Result<Self, SlamError> {
-        config.validate()?;
-        map.check((mask.width(), mask.height()))?;
-        if !(config.graph.enabled && config.graph.places.enabled) {
-            return Err(ContinueError::NoPlaces.into());
-        }
-        let setup = Setup {
-            is_frozen: purpose == Purpose::LocaliseOnly,
-            ..Setup::new(config, pinhole, mask, seed)
-        };
-        let store = Store::new(&setup.config.memory);
-        let (mut restored, graph) = restored(&|_| &setup, &store, map)?;
-        let graph = GraphLink::new(&setup, Some(graph))?.map(|(link, edges)| {
-            restored.set_edges(edges);
-            link
-        });
-        Ok(Self::with_map(setup, restored, graph))
-    }
-
-    /// The map as [`Slam::continue_from`] takes it. Only finished keyframes are in it: call
-    /// [`Slam::finish`] before.
-    #[must_use]
-    pub fn stored_map(&self) -> StoredMap {
-        stored(&self.map, |_| self.setup.pinhole)
-    }
-
-    /// How the finished keyframes are linked, by identity: what [`Self::stored_map`] says of them without images and depth.
-    #[must_use]
-    pub fn links(&self) -> Vec<StoredLink> {
-        let keyframes = self.map.keyframes().iter();
-        let finished = keyframes.filter(|keyframe| keyframe.published.is_some());
-        finished.map(stored_link).collect()
-    }
-
-    /// The constraints between finished keyframes.
-    #[must_use]
-    pub fn edges(&self) -> Vec<StoredEdge> {
-        stored_edges(&self.map)
-    }
-
-    /// The points of the sparse layer, by their hosts, as finished keyframes see them; made one by one.
-    pub fn points(&self) -> impl Iterator<Item = StoredPoint> {
-        stored_points(&self.map)
-    }
-
-    /// Frames with a believed pose in any fragment, relative to their keyframes, in the order of time.
-    #[must_use]
-    pub fn tracked_frames(&self) -> Vec<TrackedFrame> {
-        self.map.tracked_frames()
-    }
-}
 
 /// A map as it is kept; `pinhole_of` says the camera of a keyframe.
 pub(super) fn stored(map: &Map, pinhole_of: impl Fn(KeyframeId) -> Pinhole) -> StoredMap {
@@ -99,13 +32,13 @@ pub(super) fn stored(map: &Map, pinhole_of: impl Fn(KeyframeId) -> Pinhole) -> S
     }
 }
 
-fn stored_edges(map: &Map) -> Vec<StoredEdge> {
+pub(super) fn stored_edges(map: &Map) -> Vec<StoredEdge> {
     let count = map.num_published() as u64;
     let is_finished = |e: &&StoredEdge| e.edge.i.max(e.edge.j) < count;
     map.edges().iter().filter(is_finished).copied().collect()
 }
 
-fn stored_link(keyframe: &MapKeyframe) -> StoredLink {
+pub(super) fn stored_link(keyframe: &MapKeyframe) -> StoredLink {
     StoredLink {
         id: keyframe.id,
         fragment: keyframe.fragment,
@@ -116,7 +49,7 @@ fn stored_link(keyframe: &MapKeyframe) -> StoredLink {
     }
 }
 
-fn stored_points(map: &Map) -> impl Iterator<Item = StoredPoint> {
+pub(super) fn stored_points(map: &Map) -> impl Iterator<Item = StoredPoint> {
     let count = map.num_published();
     let is_finished = move |id: KeyframeId| (id as usize) < count;
     let points = map.points().iter();

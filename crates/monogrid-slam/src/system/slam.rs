@@ -1,19 +1,25 @@
 //! The system and what it tells about itself.
 
-use super::camera::Camera;
 use super::constrain::GraphLink;
+use super::depth::DepthStage;
+use super::keyframes::KeyframePolicy;
+use super::lost::LossRecovery;
 use super::odometry::Odometry;
-use super::setup::Setup;
+use super::sessions::{restored, stored, stored_edges, stored_link, stored_points};
+use super::tracking::Tracker;
 use crate::frame::BufferedFrame;
 use crate::graph::GraphStats;
 use crate::map::{Counts, Event, Map, parts};
 use crate::report::Stopwatch;
+use crate::setup::Setup;
 use crate::start::Start;
 use crate::store::SpillError;
 use crate::store::Store;
+use crate::stored::{ContinueError, Purpose, StoredEdge, StoredLink, StoredMap, StoredPoint};
 use crate::{
     Bridge, Fragment, FragmentId, InertialPath, KeptKeyframe, KeyframeCamera, KeyframeId, MAIN_MAP,
-    MapSize, MemoryConfig, PoseSnapshot, Scale, SlamConfig, SlamError, TrajectoryPose,
+    MapSize, MemoryConfig, PoseSnapshot, Scale, SlamConfig, SlamError, TrackedFrame,
+    TrajectoryPose,
 };
 use monogrid_geometry::{Mat7, Pinhole};
 use monogrid_graph::RobustKernel;
@@ -32,7 +38,10 @@ pub struct Slam {
     /// Frames after the first keyframe of a map or fragment that has just begun, which waited for it.
     pub(super) waiting: Vec<BufferedFrame>,
     pub(super) map: Map,
-    pub(super) camera: Camera,
+    pub(super) tracker: Tracker,
+    pub(super) policy: KeyframePolicy,
+    pub(super) depth: DepthStage,
+    pub(super) recovery: LossRecovery,
     /// Motion without corrections.
     pub(super) odometry: Odometry,
     /// Constraints and optimisation in the background.
@@ -88,6 +97,37 @@ impl Slam {
         })
     }
 
+    /// A system that goes on with a map. Until the camera is recognised in it, frames are lost.
+    ///
+    /// # Errors
+    /// As [`Slam::new`], and when the map is damaged, belongs to images of another size, or the settings keep
+    /// places from being recognised.
+    pub fn continue_from(
+        config: SlamConfig,
+        pinhole: Pinhole,
+        mask: Mask,
+        seed: u64,
+        map: StoredMap,
+        purpose: Purpose,
+    ) -> Result<Self, SlamError> {
+        config.validate()?;
+        map.check((mask.width(), mask.height()))?;
+        if !(config.graph.enabled && config.graph.places.enabled) {
+            return Err(ContinueError::NoPlaces.into());
+        }
+        let setup = Setup {
+            is_frozen: purpose == Purpose::LocaliseOnly,
+            ..Setup::new(config, pinhole, mask, seed)
+        };
+        let store = Store::new(&setup.config.memory);
+        let (mut restored, graph) = restored(&|_| &setup, &store, map)?;
+        let graph = GraphLink::new(&setup, Some(graph))?.map(|(link, edges)| {
+            restored.set_edges(edges);
+            link
+        });
+        Ok(Self::with_map(setup, restored, graph))
+    }
+
     /// The same with the readings of an inertial sensor beside the camera, on the clock of the frames: they say how the camera turns
     /// from frame to frame.
     #[must_use]
@@ -132,13 +172,16 @@ impl Slam {
     }
 
     /// A system that looks for the camera in a map.
-    pub(super) fn with_map(setup: Setup, map: Map, graph: Option<GraphLink>) -> Self {
+    fn with_map(setup: Setup, map: Map, graph: Option<GraphLink>) -> Self {
         let mut slam = Self {
             setup,
             start: None,
             waiting: Vec::new(),
             map,
-            camera: Camera::default(),
+            tracker: Tracker::default(),
+            policy: KeyframePolicy::default(),
+            depth: DepthStage::default(),
+            recovery: LossRecovery::default(),
             odometry: Odometry::default(),
             graph,
             frame_index: 0,
@@ -284,6 +327,38 @@ impl Slam {
             size.edges = size.keyframes.saturating_sub(1);
         }
         size
+    }
+
+    /// The map as [`Slam::continue_from`] takes it. Only finished keyframes are in it: call
+    /// [`Slam::finish`] before.
+    #[must_use]
+    pub fn stored_map(&self) -> StoredMap {
+        stored(&self.map, |_| self.setup.pinhole)
+    }
+
+    /// How the finished keyframes are linked, by identity: what [`Self::stored_map`] says of them without images and depth.
+    #[must_use]
+    pub fn links(&self) -> Vec<StoredLink> {
+        let keyframes = self.map.keyframes().iter();
+        let finished = keyframes.filter(|keyframe| keyframe.published.is_some());
+        finished.map(stored_link).collect()
+    }
+
+    /// The constraints between finished keyframes.
+    #[must_use]
+    pub fn edges(&self) -> Vec<StoredEdge> {
+        stored_edges(&self.map)
+    }
+
+    /// The points of the sparse layer, by their hosts, as finished keyframes see them; made one by one.
+    pub fn points(&self) -> impl Iterator<Item = StoredPoint> {
+        stored_points(&self.map)
+    }
+
+    /// Frames with a believed pose in any fragment, relative to their keyframes, in the order of time.
+    #[must_use]
+    pub fn tracked_frames(&self) -> Vec<TrackedFrame> {
+        self.map.tracked_frames()
     }
 
     /// Intrinsics of the working images.

@@ -1,55 +1,164 @@
 //! A frame is tracked on the current keyframe, and believed or not; so are frames that were missed:
 //! the keyframe in use may show what frames saw that were taken before one with a pose.
 
-use super::camera::{Active, Last};
+use super::doubt::Doubt;
 use super::outcome::Attempt;
-use super::setup::Setup;
-use super::slam::Slam;
 use crate::frame::{BufferedFrame, Frame};
+use crate::map::Map;
 use crate::policy::{Demand, demand};
+use crate::setup::Setup;
 use crate::tracker::{MotionPrior, PointMap, Task, Tracked, extrapolate, is_convincing};
-use crate::{LostReason, TrackingState};
+use crate::{KeyframeId, LostReason, TrackingState};
 use monogrid_alignment::{DepthSample, Motion, Reference};
-use monogrid_geometry::{Rotation, Se3};
+use monogrid_geometry::{Rotation, Se3, Vec3};
 use monogrid_image::Pyramid;
+use std::sync::Arc;
 
-impl Slam {
+/// Tracks frames on the keyframe in use.
+#[derive(Debug, Default)]
+pub(super) struct Tracker {
+    /// The keyframe in use.
+    pub active: Option<Active>,
+    /// The last frame with a believed pose.
+    pub last: Option<Last>,
+    /// How well the last frames agreed with their keyframes.
+    doubt: Doubt,
+}
+
+/// The keyframe that frames are tracked on.
+#[derive(Debug)]
+pub(super) struct Active {
+    pub id: KeyframeId,
+    /// Of its image.
+    pyramid: Arc<Pyramid>,
+    /// Its points.
+    reference: Reference,
+}
+
+impl Active {
+    /// A keyframe with the points that frames are tracked on.
+    pub(super) fn new(
+        setup: &Setup,
+        id: KeyframeId,
+        pyramid: Arc<Pyramid>,
+        samples: &[DepthSample],
+    ) -> Self {
+        Self {
+            id,
+            reference: reference(setup, &pyramid, samples),
+            pyramid,
+        }
+    }
+}
+
+impl Tracker {
     /// Tracks a frame on the keyframe in use, and doubts what it finds; `None` without a keyframe.
-    pub(super) fn track_frame(&self, frame: &Frame) -> Option<Attempt> {
-        let (active, last) = (self.camera.active.as_ref()?, self.camera.last.as_ref()?);
-        let tracked = self.track_on_active(active, last, frame);
+    pub(super) fn step(
+        &mut self,
+        setup: &Setup,
+        map: &Map,
+        frame: &Frame,
+        lost_in_a_row: usize,
+    ) -> Option<Attempt> {
+        let (active, last) = (self.active.as_ref()?, self.last.as_ref()?);
+        let tracked = active.track(setup, map, last, frame);
+        let tracked = doubt(setup, tracked, lost_in_a_row);
+        let is_believed = tracked.state != TrackingState::Lost;
+        let config = &setup.config.tracking;
         Some(Attempt {
             keyframe: active.id,
-            tracked: doubt(&self.setup, tracked, self.camera.lost_in_a_row),
+            doubt: is_believed
+                .then(|| self.doubt.judge(&tracked.alignment, config))
+                .flatten(),
+            tracked,
         })
     }
 
+    /// Tracks a frame that comes before the one with the last pose, which is not doubted.
+    pub(super) fn step_back(&self, setup: &Setup, map: &Map, frame: &Frame) -> Option<Attempt> {
+        let (active, last) = (self.active.as_ref()?, self.last.as_ref()?);
+        Some(Attempt {
+            keyframe: active.id,
+            tracked: active.track(setup, map, last, frame),
+            doubt: None,
+        })
+    }
+
+    /// Poses of frames before the one with the last pose, as [`Active::track_back`].
+    pub(super) fn track_back(
+        &self,
+        setup: &Setup,
+        map: &Map,
+        frames: &[BufferedFrame],
+    ) -> Option<Vec<Motion>> {
+        let (active, last) = (self.active.as_ref()?, self.last.clone()?);
+        Some(active.track_back(setup, map, last, frames))
+    }
+
+    /// Poses of frames that were missed before one that is tracked now.
+    pub(super) fn find_missed(
+        &self,
+        setup: &Setup,
+        map: &Map,
+        (frame, motion): (&Frame, Motion),
+        missed: &[BufferedFrame],
+    ) -> Vec<Motion> {
+        let Some(active) = self.active.as_ref().filter(|_| !missed.is_empty()) else {
+            return Vec::new();
+        };
+        let later = Last::after(self.last.as_ref(), frame, motion).reversed();
+        active.track_back(setup, map, later, missed)
+    }
+
+    /// A pose is believed: it is the prior of the next frame.
+    pub(super) fn believe(&mut self, frame: &Frame, motion: Motion) {
+        self.last = Some(Last::after(self.last.as_ref(), frame, motion));
+    }
+
+    /// The depth of the keyframe in use was refined.
+    pub(super) fn follow_depth(&mut self, setup: &Setup, samples: &[DepthSample]) {
+        if let Some(Active { id, pyramid, .. }) = self.active.take() {
+            self.active = Some(Active::new(setup, id, pyramid, samples));
+        }
+    }
+
+    /// Tracking goes on with another keyframe; `in_units` expresses lengths in its units.
+    pub(super) fn continue_on(&mut self, motion: Motion, in_units: impl Fn(Vec3) -> Vec3) {
+        if let Some(last) = self.last.as_mut() {
+            last.motion = motion;
+            let step = &mut last.frame_from_previous;
+            step.translation = in_units(step.translation);
+        }
+    }
+}
+
+impl Active {
     /// Tracks a frame on the keyframe in use, and by the points of the map, from where the motion
     /// of the last frames leads.
-    pub(super) fn track_on_active(&self, active: &Active, last: &Last, frame: &Frame) -> Tracked {
-        let setup = &self.setup;
+    fn track(&self, setup: &Setup, map: &Map, last: &Last, frame: &Frame) -> Tracked {
         let prior = motion_prior(setup, last, frame.timestamp_ns);
         let points = setup.config.sparse.enabled.then(|| PointMap {
-            map: &self.map,
-            keyframe: &self.map[active.id],
+            map,
+            keyframe: &map[self.id],
             setup,
         });
-        let task = Task::new(setup, &active.reference, frame, &prior);
+        let task = Task::new(setup, &self.reference, frame, &prior);
         task.track_with_points(&last.pyramid, points.as_ref())
     }
 
     /// Where frames are on the keyframe in use, tracked from a later frame backwards in time: the
     /// last of them first, up to the first that cannot be believed.
-    pub(super) fn track_back(
+    fn track_back(
         &self,
-        active: &Active,
+        setup: &Setup,
+        map: &Map,
         mut last: Last,
         frames: &[BufferedFrame],
     ) -> Vec<Motion> {
         let mut motions = Vec::with_capacity(frames.len());
         for buffered in frames.iter().rev() {
-            let frame = self.setup.restored(buffered);
-            let tracked = self.track_on_active(active, &last, &frame);
+            let frame = setup.restored(buffered);
+            let tracked = self.track(setup, map, &last, &frame);
             if tracked.state != TrackingState::Good {
                 break;
             }
@@ -59,23 +168,53 @@ impl Slam {
         }
         motions
     }
+}
 
-    /// Looks once more for the frames of a loss that ends with a frame, before that one is stored.
-    pub(super) fn find_missed(&mut self, frame: &Frame, motion: Motion) {
-        let missed = self.camera.loss.take_frames();
-        let Some(active) = self.camera.active.as_ref().filter(|_| !missed.is_empty()) else {
-            return;
+/// The last frame with a believed pose.
+#[derive(Clone, Debug)]
+pub(super) struct Last {
+    pub timestamp_ns: i64,
+    pub pyramid: Arc<Pyramid>,
+    /// Relative to the keyframe in use.
+    pub motion: Motion,
+    /// Motion between the last two distinct frames, in the units of the keyframe in use, and its time.
+    pub frame_from_previous: Se3,
+    pub interval_ns: i64,
+}
+
+impl Last {
+    /// A frame after another, if that one's pose is known.
+    pub(super) fn after(previous: Option<&Self>, frame: &Frame, motion: Motion) -> Self {
+        let (frame_from_previous, interval_ns) = match previous {
+            Some(last) => (
+                motion.frame_from_keyframe * last.motion.frame_from_keyframe.inverse(),
+                (frame.timestamp_ns - last.timestamp_ns).abs(),
+            ),
+            None => (Se3::identity(), 0),
         };
-        let later = Last::after(self.camera.last.as_ref(), frame, motion).reversed();
-        let motions = self.track_back(active, later, &missed);
-        self.store_backwards(&missed, &motions);
+        Self {
+            timestamp_ns: frame.timestamp_ns,
+            pyramid: Arc::clone(&frame.pyramid),
+            motion,
+            frame_from_previous,
+            interval_ns,
+        }
     }
 
-    /// Stores the poses of frames, the last of them first, as far as they are known.
-    pub(super) fn store_backwards(&mut self, frames: &[BufferedFrame], motions: &[Motion]) {
-        for (frame, motion) in frames.iter().rev().zip(motions) {
-            let pose = motion.frame_from_keyframe;
-            self.map.track(frame.index, frame.timestamp_ns, pose);
+    /// A first keyframe, from where the camera moves by a step.
+    pub(super) fn moving(keyframe: &Frame, step: Se3, interval_ns: i64) -> Self {
+        Self {
+            frame_from_previous: step,
+            interval_ns,
+            ..Self::after(None, keyframe, Motion::from_pose(Se3::identity()))
+        }
+    }
+
+    /// The same frame for a camera that goes its way backwards.
+    pub(super) fn reversed(self) -> Self {
+        Self {
+            frame_from_previous: self.frame_from_previous.inverse(),
+            ..self
         }
     }
 }

@@ -10,7 +10,7 @@ pub(crate) use self::points::PointMap;
 
 use self::again::{better, is_weak};
 use crate::frame::Frame;
-use crate::system::Setup;
+use crate::setup::Setup;
 use crate::{LostReason, TrackingState};
 use monogrid_alignment::{Alignment, AlignmentConfig, Freedom, Motion, Reference, align};
 use monogrid_geometry::{Se3, Vec3, Vec6, rotation_exp};

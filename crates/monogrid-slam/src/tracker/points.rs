@@ -3,8 +3,8 @@
 
 use crate::map::{Map, MapKeyframe};
 use crate::policy::{MIN_POINT_INLIERS, do_points_decide};
+use crate::setup::Setup;
 use crate::sparse::{POSE_SIGMA_PX, PointSearch, Which, find_in_image, position};
-use crate::system::Setup;
 use monogrid_features::{AbsolutePoseConfig, PatchSearchConfig, PointPixel, absolute_pose};
 use monogrid_geometry::{Mat6, Se3, Vec6};
 use monogrid_graph::{MapMatch, PoseOnlyConfig, PoseOnlySolution, PoseOutcome, refine_pose};

@@ -4,7 +4,7 @@ use super::KeyframeGraph;
 use crate::KeyframeId;
 use crate::graph::job::{EdgeKind, OdometryEdge, Relocalised};
 use crate::graph::search::{Candidate, Entry, Probes, choose};
-use crate::map::View;
+use crate::view::View;
 use monogrid_alignment::{
     DepthSample, KeyframeView, SimilarityConstraint, SimilarityState, align_reciprocally,
 };

@@ -4,9 +4,9 @@
 use super::KeyframeGraph;
 use crate::KeyframeId;
 use crate::graph::DriftConfig;
+use crate::graph::SharedPoints;
 use crate::graph::job::{EdgeKind, OdometryEdge};
 use crate::map::path_between;
-use crate::sparse::SharedPoints;
 use monogrid_alignment::SimilarityConstraint;
 use monogrid_geometry::{Mat7, Sim3, Vec7};
 use monogrid_graph::RobustKernel;

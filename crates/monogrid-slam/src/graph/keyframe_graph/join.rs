@@ -10,6 +10,7 @@
 //! random start, whose shape is not reliable yet, never decide.
 
 use super::KeyframeGraph;
+use super::sighting::Sighting;
 use crate::graph::job::Joined;
 use crate::{FragmentId, KeyframeId};
 use monogrid_alignment::SimilarityConstraint;
@@ -23,39 +24,6 @@ const MAX_DISAGREEMENT: f64 = 0.1;
 
 /// Sightings that are kept at most; the oldest are forgotten.
 const MAX_SIGHTINGS: usize = 64;
-
-/// A keyframe that was recognised in another fragment.
-#[derive(Clone, Debug)]
-pub(super) struct Sighting {
-    /// The keyframe of the other fragment, older.
-    pub other: KeyframeId,
-    pub own: KeyframeId,
-    /// As direct alignment found it, else as the recognised points have it.
-    other_from_own: Sim3,
-    constraint: Option<SimilarityConstraint>,
-}
-
-impl Sighting {
-    /// A keyframe as recognised points have it, and as direct alignment has it unless that failed.
-    pub(super) fn new(
-        other: KeyframeId,
-        own: KeyframeId,
-        other_from_own: Sim3,
-        constraint: Option<SimilarityConstraint>,
-    ) -> Self {
-        Self {
-            other,
-            own,
-            other_from_own: constraint.as_ref().map_or(other_from_own, |c| c.b_from_a),
-            constraint,
-        }
-    }
-
-    /// Whether direct alignment confirmed it.
-    pub(super) fn is_aligned(&self) -> bool {
-        self.constraint.is_some()
-    }
-}
 
 impl KeyframeGraph {
     /// Whether a keyframe may say where its fragment is in that of another.

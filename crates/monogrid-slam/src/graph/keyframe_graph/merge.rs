@@ -10,8 +10,8 @@
 
 use super::KeyframeGraph;
 use super::constrain::MAX_LOOPS;
-use super::join::Sighting;
 use super::optimise::Search;
+use super::sighting::Sighting;
 use crate::graph::job::GraphUpdate;
 use crate::{Agreement, FragmentId, KeyframeId, Meeting, MergeConfig};
 use monogrid_geometry::Sim3;

@@ -6,20 +6,21 @@ mod edges;
 mod join;
 mod merge;
 mod optimise;
+mod sighting;
 #[cfg(test)]
 mod tests;
 
 use self::constraints::Constraints;
-use self::join::Sighting;
 use self::optimise::Search;
+use self::sighting::Sighting;
 use super::config::GraphConfig;
 use super::job::{
     EdgeKey, EdgeKind, GraphJob, GraphStats, GraphUpdate, Joined, Link, RestoredGraph,
 };
 use super::places::{PlacesError, memory_of_places};
 use super::search::Entry;
-use crate::map::View;
 use crate::stored::StoredEdge;
+use crate::view::View;
 use crate::{FragmentConfig, FragmentId, KeyframeId, MAIN_MAP, PoseSnapshot, SlamConfig};
 use monogrid_alignment::KeyframeView;
 use monogrid_features::PlaceMemory;

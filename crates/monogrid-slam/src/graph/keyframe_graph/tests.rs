@@ -6,11 +6,11 @@ use super::edges::{
 };
 use super::*;
 use crate::KeyframeCamera;
+use crate::graph::SharedPoints;
 use crate::graph::job::OdometryEdge;
-use crate::map::{Exposure, KeyframeImage};
-use crate::sparse::SharedPoints;
 use crate::store::Store;
 use crate::test_world::small_demo;
+use crate::view::{Exposure, KeyframeImage};
 use monogrid_alignment::{DepthSample, SimilarityConstraint};
 use monogrid_geometry::{Mat6, Mat7, Sim3, Vec7};
 use monogrid_image::Mask;

@@ -2,7 +2,7 @@ use super::*;
 use crate::policy::MAX_BRIDGE_SCALE_SIGMA;
 use crate::start::Start;
 use crate::system::Slam;
-use crate::system::steps::BRIDGE_FRAMES;
+use crate::system::lost::{BRIDGE_FRAMES, Recovery};
 use crate::test_world::small_demo;
 use crate::{FrameInput, FrameReport, SlamConfig};
 use monogrid_geometry::Vec6;
@@ -47,14 +47,15 @@ fn after_a_loss(sequence: &SynthSequence, change: fn(GrayImage) -> GrayImage) ->
 fn a_start_that_shows_the_frames_before_it_lies_in_the_map() {
     let sequence = small_demo();
     let (mut slam, started) = after_a_loss(sequence, |image| image);
-    assert_eq!(slam.camera.known.len(), BRIDGE_FRAMES);
-    let landing = slam.land(&started).unwrap();
+    assert_eq!(slam.recovery.known().len(), BRIDGE_FRAMES);
+    let landing = land(&slam.setup, &slam.map, slam.recovery.known(), &started).unwrap();
 
     let first = started.keyframe.index;
     let num_later = started.later.len();
     let num_keyframes = slam.map.keyframes().len();
     let mut report = FrameReport::new(first, 0, TrackingState::Lost);
-    slam.begin_at(&landing, started, &mut report);
+    let landed = Recovery::Landed(Box::new(landing.clone()), Box::new(started));
+    slam.recover(landed, &mut report);
     let keyframe = &slam.map.keyframes()[num_keyframes];
     assert_eq!(
         (keyframe.fragment, keyframe.parent),
@@ -92,7 +93,7 @@ fn a_start_at_another_place_lies_nowhere() {
         GrayImage::from_fn(width, image.height(), |x, y| image.at(width - 1 - x, y))
     };
     let (slam, started) = after_a_loss(sequence, mirrored);
-    assert!(slam.land(&started).is_none());
+    assert!(land(&slam.setup, &slam.map, slam.recovery.known(), &started).is_none());
 }
 
 /// Poses of a camera that moves along a curve, in a map and in a start.

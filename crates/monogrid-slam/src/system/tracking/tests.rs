@@ -1,4 +1,5 @@
 use super::*;
+use crate::system::Slam;
 use crate::test_world::small_demo;
 use crate::{FrameInput, SlamConfig};
 use monogrid_geometry::{Vec3, rotation_exp};
@@ -29,13 +30,13 @@ fn run(sequence: &SynthSequence, shown: impl Fn(GrayImage) -> GrayImage) -> Slam
     }
     for k in TRACKED..TRACKED + MISSED {
         let frame = slam.setup.frame(input(sequence, k, shown(image(k))));
-        slam.camera.loss.advance(&slam.setup, &slam.map, frame);
-        slam.camera.lost_in_a_row += 1;
+        slam.recovery.count(true);
+        slam.recovery.step(&slam.setup, &slam.map, frame, &[], None);
     }
     let end = TRACKED + MISSED;
     let report = slam.process_frame(input(sequence, end, image(end)));
     assert_eq!(report.state, TrackingState::Good);
-    assert_eq!(slam.camera.lost_in_a_row, 0);
+    assert_eq!(slam.recovery.lost_in_a_row(), 0);
     slam
 }
 

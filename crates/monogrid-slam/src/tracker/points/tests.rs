@@ -1,6 +1,7 @@
 use super::*;
-use crate::map::{Exposure, KeyframeImage, SeenPoints, SparsePoint};
+use crate::map::{SeenPoints, SparsePoint};
 use crate::store::Store;
+use crate::view::{Exposure, KeyframeImage};
 use crate::{Scale, SlamConfig};
 use monogrid_geometry::{Pinhole, Sim3, Vec2};
 use monogrid_image::{Image, Mask};

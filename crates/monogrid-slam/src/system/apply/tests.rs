@@ -83,8 +83,11 @@ fn other_frames_before_the_start_get_keyframes_and_tracking_goes_on_at_the_first
     assert!(keyframes.len() > 1, "{}", keyframes.len());
     assert!(keyframes.iter().skip(1).all(|k| k.frame_index < FRAMES - 1));
     assert!(keyframes.iter().all(|k| k.published.is_some()));
-    assert_eq!(slam.camera.active.as_ref().map(|active| active.id), Some(0));
-    assert_eq!(slam.camera.active.as_ref().map(|a| a.num_mapped), Some(0));
+    assert_eq!(
+        slam.tracker.active.as_ref().map(|active| active.id),
+        Some(0)
+    );
+    assert_eq!(slam.policy.num_mapped(), 0);
     assert_known_from_the_first_frame_on(&slam, sequence);
 
     let mut config = demanding();

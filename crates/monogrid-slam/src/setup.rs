@@ -3,7 +3,7 @@
 use crate::KeyframeCamera;
 use crate::SlamConfig;
 use crate::frame::{BufferedFrame, Frame, FrameInput};
-use crate::map::NUM_LEVELS;
+use crate::view::NUM_LEVELS;
 use monogrid_alignment::Target;
 use monogrid_depth::HostFrame;
 use monogrid_geometry::{Pinhole, Rotation, Vec3};
@@ -41,7 +41,7 @@ impl Setup {
     }
 
     /// The camera of keyframes.
-    pub(super) fn camera(&self) -> KeyframeCamera {
+    pub(crate) fn camera(&self) -> KeyframeCamera {
         KeyframeCamera::new(self.pinhole, (self.mask.width(), self.mask.height()))
     }
 
@@ -51,7 +51,7 @@ impl Setup {
     }
 
     /// A frame that waited for the first keyframe.
-    pub(super) fn restored(&self, buffered: &BufferedFrame) -> Frame {
+    pub(crate) fn restored(&self, buffered: &BufferedFrame) -> Frame {
         self.frame_of((buffered.index, buffered.timestamp_ns), buffered.image())
     }
 
@@ -60,7 +60,7 @@ impl Setup {
     }
 
     /// A frame of which the pyramid was kept.
-    pub(super) fn of_pyramid(
+    pub(crate) fn of_pyramid(
         &self,
         (index, timestamp_ns): (usize, i64),
         pyramid: Arc<Pyramid>,
@@ -82,7 +82,7 @@ impl Setup {
 
     /// How the camera turned from one frame to another by the gyroscope, whose bias does not matter over so short a time;
     /// `other_from_frame`.
-    pub(super) fn turn(&self, frame_ns: i64, other_ns: i64) -> Option<Rotation> {
+    pub(crate) fn turn(&self, frame_ns: i64, other_ns: i64) -> Option<Rotation> {
         let imu = self.imu.as_ref()?;
         imu.camera_turn(frame_ns, other_ns, &Vec3::zeros())
     }
