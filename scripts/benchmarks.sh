@@ -231,7 +231,7 @@ part_octomap() {
 
 part_live() {
   plain_run "$speed_sequence"
-  example slam live_maps "$results/$speed_sequence-plain/recording.mgk" "$data/$speed_sequence" frames=100
+  example mapping live_maps "$results/$speed_sequence-plain/recording.mgk" "$data/$speed_sequence" frames=100
 }
 
 # One line of the table of speed: PROFILE CORES THREADS, the median of the runs by frames per second.

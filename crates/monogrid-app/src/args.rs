@@ -22,7 +22,8 @@ pub struct JsonArg {
 }
 
 impl JsonArg {
-    /// Prints a report for programs where that is asked for, else for people: the end of a command that did all it was to do.
+    /// Prints a report for programs where that is asked for, else for people: the end of a command
+    /// that did all it was to do.
     pub fn print(self, report: &impl Serialize, for_people: impl FnOnce()) -> CommandResult {
         if self.json {
             print_json(report)?;

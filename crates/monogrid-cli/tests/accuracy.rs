@@ -1,7 +1,8 @@
 //! The accuracy that we promise (`accuracy.toml`), on the built-in world and on recorded sequences.
 //!
-//! Slow: `cargo test --test accuracy -- --ignored --nocapture`. Recorded sequences lie in the folder that MONOGRID_DATA
-//! names; without it their tests fail, and `--skip real_data` leaves them out.
+//! Slow: `cargo test --test accuracy -- --ignored --nocapture`. Recorded sequences lie in the
+//! folder that MONOGRID_DATA names; without it their tests fail, and `--skip real_data` leaves them
+//! out.
 #![allow(
     clippy::unwrap_used,
     clippy::print_stdout,

@@ -1,4 +1,5 @@
-//! The commands beside `run`: maps, their tools, batches, the thesis, and what is never written over.
+//! The commands beside `run`: maps, their tools, batches, the thesis, and what is never written
+//! over.
 #![allow(
     clippy::unwrap_used,
     clippy::print_stdout,

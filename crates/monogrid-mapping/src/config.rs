@@ -225,18 +225,22 @@ impl Default for PlanesConfig {
 /// How up and the floor are found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UprightConfig {
-    /// Standard deviation of the roll of a hand-held camera, mean over a run, degrees. Default 20. Range [1, 180].
+    /// Standard deviation of the roll of a hand-held camera, mean over a run, degrees. Default 20.
+    /// Range [1, 180].
     pub roll_sigma_deg: f64,
-    /// Mean pitch of a hand-held camera, degrees: people look down rather than up. Default -15. Range [-90, 90].
+    /// Mean pitch of a hand-held camera, degrees: people look down rather than up. Default -15.
+    /// Range [-90, 90].
     pub pitch_deg: f64,
     /// Its standard deviation, degrees. Default 35. Range [1, 180].
     pub pitch_sigma_deg: f64,
-    /// Shortest straight edge that votes, as a share of the image's width. Default 0.06. Range [0.01, 1].
+    /// Shortest straight edge that votes, as a share of the image's width. Default 0.06. Range
+    /// [0.01, 1].
     pub min_edge: f64,
-    /// Least confidence at which the scene, and not the first camera, says what is up. Default 0.2. Range [0, 1].
+    /// Least confidence at which the scene, and not the first camera, says what is up. Default 0.2.
+    /// Range [0, 1].
     pub min_confidence: f64,
-    /// Least share of the floor among all level planes seen from above; other things than the floor are seen more.
-    /// Default 0.05. Range [0.001, 1].
+    /// Least share of the floor among all level planes seen from above; other things than the floor
+    /// are seen more. Default 0.05. Range [0.001, 1].
     pub min_floor_share: f64,
 }
 

@@ -9,11 +9,13 @@
 //!   the graph in steps of bounded work; what is read is the map of one revision of the poses, complete;
 //! * *local*: the part of *global* within a radius of the current camera.
 //!
-//! While a run goes on, *global* has the depth of the filter, a few keyframes later that of final maps (module `schedule`), and follows
-//! the graph: keyframes of which some measurement moved by at least `follow_threshold` cells, or that got other depth, are moved in a second
-//! map, one per step, which takes the place of the first when all are done. As long as there are no readers nothing is integrated. At the end all that
-//! is pending is done on all threads, with depth refined, or made dense, at the final poses ([`final_scans`]); the final maps do
-//! not depend on how far the live ones had come.
+//! While a run goes on, *global* has the depth of the filter, a few keyframes later that of final
+//! maps (module `schedule`), and follows the graph: keyframes of which some measurement moved by at
+//! least `follow_threshold` cells, or that got other depth, are moved in a second map, one per
+//! step, which takes the place of the first when all are done. As long as there are no readers
+//! nothing is integrated. At the end all that is pending is done on all threads, with depth
+//! refined, or made dense, at the final poses ([`final_scans`]); the final maps do not depend on
+//! how far the live ones had come.
 //!
 //! Maps are z up ([`z_up_from_camera_world`]) unless the caller gives another frame, such as that in which the scene is
 //! level ([`upright()`]).

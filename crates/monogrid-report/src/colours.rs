@@ -12,7 +12,8 @@ pub type ColourImage = Image<[u8; 3]>;
 /// Most pixels of a keyframe's image.
 pub const MAX_PIXELS: usize = 1 << 26;
 
-/// The keyframes of a recording in colour, as JPEG, by identity; keyframes of grey sources are not there.
+/// The keyframes of a recording in colour, as JPEG, by identity; keyframes of grey sources are not
+/// there.
 #[derive(Clone, Debug, Default)]
 pub struct Colours(BTreeMap<u32, Vec<u8>>);
 

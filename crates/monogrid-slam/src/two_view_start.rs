@@ -8,7 +8,7 @@ use crate::depth_step::{observe, regularize};
 use crate::frame::{BufferedFrame, Frame};
 use crate::median::median;
 use crate::setup::Setup;
-use crate::sparse::{NUM_COARSER, corner_settings};
+use crate::sparse::corner_settings;
 use crate::start::Started;
 use crate::tracker::MIN_POINTS;
 use crate::{InitializationConfig, LostReason, SparseConfig};
@@ -139,17 +139,13 @@ impl TwoViewStart {
     /// How the features of a reference are chosen. (From the first frame on, close ones make starts worse where there is enough to
     /// see.)
     fn corners(&self, pinhole: &Pinhole, sparse: &SparseConfig) -> CornerConfig {
-        let max_corners = self.settings.num_features;
-        let usual = match self.buffered.len() > self.settings.patient_frames {
-            true => corner_settings(max_corners, pinhole, sparse),
-            false => CornerConfig {
-                max_corners,
-                ..CornerConfig::default()
-            },
-        };
+        let close = corner_settings(self.settings.num_features, pinhole, sparse);
+        if self.buffered.len() > self.settings.patient_frames {
+            return close;
+        }
         CornerConfig {
-            num_coarser: NUM_COARSER,
-            ..usual
+            min_distance_px: CornerConfig::default().min_distance_px,
+            ..close
         }
     }
 

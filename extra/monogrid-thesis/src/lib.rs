@@ -1,7 +1,8 @@
 //! What repeats the experiments of the thesis: `monogrid thesis`.
 //!
-//! [`sweep`] builds maps of recordings with every resolution, sensor model and parameter and compares them,
-//! [`sensor_model`] draws the curves of the models ([`curves`]), [`vocabulary`] trains the words of FAB-MAP.
+//! [`sweep`] builds maps of recordings with every resolution, sensor model and parameter and
+//! compares them, [`sensor_model`] draws the curves of the models ([`curves`]), [`vocabulary`]
+//! trains the words of FAB-MAP.
 #![deny(missing_docs)]
 
 #[macro_use]

@@ -3,8 +3,9 @@
 //! The sparse layer sees hundreds of points from many keyframes: adjusted with the camera free, they show it better than
 //! corners followed over the first seconds, at the cost of some twenty milliseconds per ten keyframes.
 //!
-//! So a calibration that was given is checked (`calibration_check`), a camera that nobody gave is refined after a first pass (`refine`), a rolling
-//! shutter is found (`rolling`), and radial distortion that a calibration has left goes into the last adjustment.
+//! So a calibration that was given is checked (`calibration_check`), a camera that nobody gave is
+//! refined after a first pass (`refine`), a rolling shutter is found (`rolling`), and radial
+//! distortion that a calibration has left goes into the last adjustment.
 
 use crate::camera::self_calibration::interval_ns;
 use monogrid_calibration::{

@@ -42,7 +42,7 @@ impl Expected {
         picture: None,
     };
 
-    /// The same for a picture that is `picture` of an image of this size, and has borders around
+    /// The rule for a picture that is `picture` of an image of this size, and has borders around
     /// it.
     pub fn within(self, picture: Option<Rectangle>, size: (usize, usize)) -> Self {
         let longer = |(width, height): (usize, usize)| width.max(height).max(1) as f64;

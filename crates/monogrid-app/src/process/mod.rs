@@ -1,4 +1,5 @@
-//! What the process is to its user and to its system: messages, exit codes, interrupts, memory, threads.
+//! What the process is to its user and to its system: messages, exit codes, interrupts, memory,
+//! threads.
 
 #[macro_use]
 pub mod console;

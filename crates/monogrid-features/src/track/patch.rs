@@ -1,6 +1,6 @@
 //! Patches anchored in a keyframe, warped to the current view and found again: the sparse layer.
 
-use super::points::{TrackOutcome, min_score, to_f32, to_vec2};
+use super::points::{TrackOutcome, finest_level, min_score, to_f32, to_vec2};
 use super::template::{
     AlignLimits, LevelFailure, LevelFit, PatchFit, SIDE, Template, WIDE, centre_of_corner,
     integer_corner,
@@ -146,11 +146,8 @@ pub fn patch_level(image: &Pyramid, pixel: &Vec2, config: &PatchSearchConfig) ->
     let coarsest = config
         .search_level
         .min(image.num_levels().saturating_sub(1));
-    let stands_out = |level: &usize| {
-        let least = min_score(config.min_score, *level, *level);
-        ReferencePatch::new(image, pixel, &Matrix2::identity(), *level, least).is_ok()
-    };
-    (0..coarsest).find(stands_out).unwrap_or(coarsest)
+    let finest = finest_level(image, pixel, coarsest + 1, config.min_score);
+    finest.map_or(coarsest, |(level, _)| level)
 }
 
 /// The warp `reference_from_current` of a small patch that faces the reference camera, from its

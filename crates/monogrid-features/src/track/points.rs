@@ -171,7 +171,12 @@ fn coarse_to_fine(
     let levels = num_levels
         .min(reference.num_levels())
         .min(current.num_levels());
-    let (finest, own) = finest_level(reference, point, levels.min(COARSEST_FINEST + 1), config)?;
+    let (finest, own) = finest_level(
+        reference,
+        point,
+        levels.min(COARSEST_FINEST + 1),
+        config.min_score,
+    )?;
     let mut estimate = *start;
     for level in (finest + 1..levels).rev() {
         let centre = to_f32(&level_pixel(point, level));
@@ -192,18 +197,18 @@ fn coarse_to_fine(
 }
 
 /// The finest of so many levels on which a patch stands out of the noise, and what it looks like
-/// there.
-fn finest_level(
+/// there; `least` is the weakest score on level 0.
+pub(super) fn finest_level(
     reference: &Pyramid,
     point: &Vec2,
     num_levels: usize,
-    config: &TrackConfig,
+    least: f32,
 ) -> Result<(usize, Template), TrackOutcome> {
     for level in 0..num_levels {
         let centre = to_f32(&level_pixel(point, level));
         let patch = sample::<WIDE, _>(reference.level(level), centre);
         let patch = patch.ok_or(TrackOutcome::OutOfImage)?;
-        let min_score = min_score(config.min_score, level, level);
+        let min_score = min_score(least, level, level);
         if let Some(template) = Template::new(&patch, min_score) {
             return Ok((level, template));
         }

@@ -27,8 +27,8 @@ pub fn final_scans(
 }
 
 /// The depth of all finished keyframes of a system as it is mapped in the end ([`final_scans`]) at
-/// the newest poses, by identity; it lies where there is room. `done` grows with every keyframe, for
-/// those who wait.
+/// the newest poses, by identity; it lies where there is room. `done` grows with every keyframe,
+/// for those who wait.
 #[must_use]
 pub fn final_scans_of(
     slam: &Slam,

@@ -15,7 +15,8 @@ pub enum Event {
     Revised(KeptKeyframe),
     /// Finished keyframes have other poses. Not said beside [`Event::Finished`], which has them.
     Moved(Arc<PoseSnapshot>),
-    /// The bundle adjustment for the newest keyframe failed: poses and points are as they were found.
+    /// The bundle adjustment for the newest keyframe failed: poses and points are as they were
+    /// found.
     NotAdjusted(BundleError),
     /// An optimisation of the graph of keyframes failed: their poses stayed as they were.
     NotOptimised(PoseGraphError),

@@ -12,11 +12,11 @@ use monogrid_image::{Mask, Pyramid};
 const DROP_AFTER_KEYFRAMES: u32 = 3;
 /// Coarser levels on which corners are searched where the finest shows too few: the faint blotches
 /// of a plain wall stand out of the noise there, and hold the scale where nothing else does.
-pub(crate) const NUM_COARSER: usize = 2;
+const NUM_COARSER: usize = 2;
 
 /// New corners of the newest keyframe where it sees few points, with depth from the dense map (its
-/// units) at or around them, and where the keyframes used last see them. `seen` are the pixels of the points that it
-/// sees already.
+/// units) at or around them, and where the keyframes used last see them. `seen` are the pixels of
+/// the points that it sees already.
 pub(crate) fn anchor(
     map: &Map,
     depth: &DepthMap,
@@ -47,10 +47,7 @@ fn corners(
     if missing == 0 {
         return Vec::new();
     }
-    let settings = CornerConfig {
-        num_coarser: NUM_COARSER,
-        ..corner_settings(missing, pinhole, config)
-    };
+    let settings = corner_settings(missing, pinhole, config);
     let Some(pyramid) = newest.pyramid() else {
         return Vec::new();
     };
@@ -89,6 +86,7 @@ pub(crate) fn corner_settings(
     let usual = CornerConfig::default();
     CornerConfig {
         max_corners,
+        num_coarser: NUM_COARSER,
         // in a small image things are small
         min_distance_px: (config.min_spacing * pinhole.fx).min(usual.min_distance_px),
         ..usual

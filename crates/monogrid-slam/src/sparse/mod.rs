@@ -24,7 +24,7 @@ mod shared;
 
 pub(crate) use adjust::{adjust_all, adjust_all_to_images, adjust_window};
 pub(crate) use again::find_again;
-pub(crate) use anchor::{NUM_COARSER, anchor, corner_settings, pixel_size, unconfirmed};
+pub(crate) use anchor::{anchor, corner_settings, pixel_size, unconfirmed};
 pub use config::{ImageAdjustmentConfig, SparseConfig};
 pub(crate) use lens::LeftLens;
 pub(crate) use matching::{PointSearch, Which, find_in_image, position};

@@ -31,10 +31,10 @@ use monogrid_image::Pyramid;
 use std::sync::Arc;
 
 /// The keyframe that was in use.
-struct Left {
-    id: KeyframeId,
+pub(super) struct Left {
+    pub id: KeyframeId,
     /// What the graph needs of it.
-    view: Option<Arc<View>>,
+    pub view: Option<Arc<View>>,
 }
 
 /// A frame is believed, and what it is for.
@@ -205,13 +205,8 @@ impl Slam {
 
 /// The keyframe in use, and the graph.
 impl Slam {
-    /// Publishes the keyframe in use, which is in use no longer; its identity.
-    pub(super) fn leave_for_good(&mut self) -> Option<(KeyframeId, Option<Arc<View>>)> {
-        self.leave().map(|left| (left.id, left.view))
-    }
-
     /// Publishes the keyframe in use, which is in use no longer.
-    fn leave(&mut self) -> Option<Left> {
+    pub(super) fn leave(&mut self) -> Option<Left> {
         let id = self.tracker.active.take()?.id;
         let depth = self.depth.take()?;
         if self.setup.is_frozen {
@@ -390,8 +385,8 @@ impl Slam {
         self.begin_map(MAIN_MAP, started, report);
     }
 
-    /// Makes the first keyframe of a fragment and tracks the frames that waited for it: those before it
-    /// backwards. Those after it are left to be tracked.
+    /// Makes the first keyframe of a fragment and tracks the frames that waited for it: those
+    /// before it backwards. Those after it are left to be tracked.
     pub(super) fn begin_map(
         &mut self,
         fragment: FragmentId,

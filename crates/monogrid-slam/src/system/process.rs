@@ -72,12 +72,12 @@ impl Slam {
             return None;
         }
         self.await_graph();
-        let (last, view) = self.leave_for_good()?;
+        let left = self.leave()?;
         self.join_all_by_inertia();
         self.await_graph();
-        self.constrain(view, Link::None, true);
+        self.constrain(left.view, Link::None, true);
         self.await_graph();
-        Some(last)
+        Some(left.id)
     }
 
     /// Gives back the memory that only more frames would need: that of tracking and of the graph's

@@ -100,8 +100,8 @@ impl Slam {
     /// A system that goes on with a map. Until the camera is recognised in it, frames are lost.
     ///
     /// # Errors
-    /// As [`Slam::new`], and when the map is damaged, belongs to images of another size, or the settings keep
-    /// places from being recognised.
+    /// As [`Slam::new`], and when the map is damaged, belongs to images of another size, or the
+    /// settings keep places from being recognised.
     pub fn continue_from(
         config: SlamConfig,
         pinhole: Pinhole,
@@ -336,7 +336,8 @@ impl Slam {
         stored(&self.map, |_| self.setup.pinhole)
     }
 
-    /// How the finished keyframes are linked, by identity: what [`Self::stored_map`] says of them without images and depth.
+    /// How the finished keyframes are linked, by identity: what [`Self::stored_map`] says of them
+    /// without images and depth.
     #[must_use]
     pub fn links(&self) -> Vec<StoredLink> {
         let keyframes = self.map.keyframes().iter();
@@ -350,12 +351,14 @@ impl Slam {
         stored_edges(&self.map)
     }
 
-    /// The points of the sparse layer, by their hosts, as finished keyframes see them; made one by one.
+    /// The points of the sparse layer, by their hosts, as finished keyframes see them; made one by
+    /// one.
     pub fn points(&self) -> impl Iterator<Item = StoredPoint> {
         stored_points(&self.map)
     }
 
-    /// Frames with a believed pose in any fragment, relative to their keyframes, in the order of time.
+    /// Frames with a believed pose in any fragment, relative to their keyframes, in the order of
+    /// time.
     #[must_use]
     pub fn tracked_frames(&self) -> Vec<TrackedFrame> {
         self.map.tracked_frames()

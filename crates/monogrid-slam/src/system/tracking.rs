@@ -177,7 +177,8 @@ pub(super) struct Last {
     pub pyramid: Arc<Pyramid>,
     /// Relative to the keyframe in use.
     pub motion: Motion,
-    /// Motion between the last two distinct frames, in the units of the keyframe in use, and its time.
+    /// Motion between the last two distinct frames, in the units of the keyframe in use, and its
+    /// time.
     pub frame_from_previous: Se3,
     pub interval_ns: i64,
 }

@@ -140,7 +140,8 @@ impl Beams {
     }
 }
 
-/// Shares of a scan. After the first, saturated space is looked for again: it has saturated most of it.
+/// Shares of a scan. After the first, saturated space is looked for again: it has saturated most of
+/// it.
 const SHARES: usize = 8;
 /// Tiles of directions along an edge of the square onto which they are mapped.
 const DIRECTION_TILES: usize = 64;

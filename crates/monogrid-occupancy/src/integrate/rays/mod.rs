@@ -1,8 +1,9 @@
 //! The rule `rays`: every measurement updates every cell that its ray crosses.
 //!
-//! Flow: measurements -> rays in cell units (`beam`) -> in batches (`batches`), the rays' updates are
-//! handed to the shards of their bricks, and each shard takes them ray by ray in the order in which
-//! `beam` has them (`visits`). Rays begin where the first cell lies that they could change (`saturated`).
+//! Flow: measurements -> rays in cell units (`beam`) -> in batches (`batches`), the rays' updates
+//! are handed to the shards of their bricks, and each shard takes them ray by ray in the order in
+//! which `beam` has them (`visits`). Rays begin where the first cell lies that they could change
+//! (`saturated`).
 
 mod batches;
 pub(crate) mod beam;
