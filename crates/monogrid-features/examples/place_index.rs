@@ -4,11 +4,14 @@
 //! cargo run --release -p monogrid-features --example place_index -- RECORDING FOLDER...
 //! ```
 //!
-//! RECORDING (`recording.mgk` of a run) has the keyframes that are looked for: each is asked for with itself and its neighbours in time
-//! excluded. Two keyframes show the same place where each shows at least 30 % of the depth of the other, by their final poses. The images
-//! of the folders are of other places: as many as are needed are described as keyframes are and put into the index, once before the
-//! keyframes and once behind them, since a list of the index is followed from its newest entry. Printed are, of keyframes that have a revisit, how many find one first, and among
-//! the candidates; candidates per query that are of other places; the median time of a query on a processor (Linux); and memory.
+//! RECORDING (`recording.mgk` of a run) has the keyframes that are looked for: each is asked for
+//! with itself and its neighbours in time excluded. Two keyframes show the same place where each
+//! shows at least 30 % of the depth of the other, by their final poses. The images of the folders
+//! are of other places: as many as are needed are described as keyframes are and put into the
+//! index, once before the keyframes and once behind them, since a list of the index is followed
+//! from its newest entry. Printed are, of keyframes that have a revisit, how many find one first,
+//! and among the candidates; candidates per query that are of other places; the median time of a
+//! query on a processor (Linux); and memory.
 #![allow(clippy::print_stdout, reason = "this is a program")]
 
 use monogrid_datasets::{
@@ -23,7 +26,8 @@ use std::path::Path;
 
 /// Descriptors of other places that are put into the index.
 const DISTRACTORS: [usize; 4] = [0, 10_000, 100_000, 1_000_000];
-/// Keyframes before and after the one that is looked for that do not count as revisits, and are not looked at.
+/// Keyframes before and after the one that is looked for that do not count as revisits, and are not
+/// looked at.
 const NEIGHBOURS: u32 = 3;
 /// Share of the depth of one keyframe that another one shows, at which both show the same place.
 const MIN_OVERLAP: f64 = 0.3;

@@ -54,8 +54,8 @@ const WINDOW: usize = 2;
 /// No corner closer to the border than this, px of its level: room for a patch there.
 const MIN_BORDER: usize = 6;
 
-/// Finds at most `config.max_corners` corners, spread over the image, best cells first, finer levels
-/// before coarser ones.
+/// Finds at most `config.max_corners` corners, spread over the image, best cells first, finer
+/// levels before coarser ones.
 ///
 /// `mask` (level-0 size, 0 = ignore) excludes pixels; corners keep `min_distance_px` from the
 /// pixels in `occupied` too. Returns an empty list for an image too small to hold one.

@@ -1,8 +1,9 @@
-//! The motion of a picture as a smooth field, from some hundred corners followed from image to image.
+//! The motion of a picture as a smooth field, from some hundred corners followed from image to
+//! image.
 //!
-//! Eight numbers are what a plane does that is seen by a moving camera (Longuet-Higgins, *The visual ambiguity of a
-//! moving plane*, 1984): a rotation, and the mean motion by parallax. What single corners move otherwise is spread
-//! over their surroundings.
+//! Eight numbers are what a plane does that is seen by a moving camera (Longuet-Higgins, *The
+//! visual ambiguity of a moving plane*, 1984): a rotation, and the mean motion by parallax. What
+//! single corners move otherwise is spread over their surroundings.
 
 use monogrid_geometry::Vec2;
 use monogrid_geometry::median::median;
@@ -22,10 +23,11 @@ pub struct FlowSample {
 pub struct FlowConfig {
     /// Fewest samples. Range 8..; default 20.
     pub min_samples: usize,
-    /// Distance between the nodes of the field, as a share of the longer side. Range 0.01..0.5; default 0.06.
+    /// Distance between the nodes of the field, as a share of the longer side. Range 0.01..0.5;
+    /// default 0.06.
     pub spacing: f64,
-    /// How many samples right at a node weigh as much as the assumption that there is no motion beside that of
-    /// the plane. Range above 0; default 0.5.
+    /// How many samples right at a node weigh as much as the assumption that there is no motion
+    /// beside that of the plane. Range above 0; default 0.5.
     pub stiffness: f64,
 }
 
@@ -47,14 +49,16 @@ pub struct FlowField {
     columns: usize,
     /// Row by row, px per unit of time.
     nodes: Vec<[f32; 2]>,
-    /// Pixels of a row between two columns of nodes: the first between each two, and the end of the row.
+    /// Pixels of a row between two columns of nodes: the first between each two, and the end of the
+    /// row.
     starts: Vec<usize>,
     /// How far each pixel of a row is from the column before it to the one behind it, [0, 1).
     fractions: Vec<f32>,
 }
 
 impl FlowField {
-    /// The field through samples of an image of this size; `None` where they are too few, or lie on a line.
+    /// The field through samples of an image of this size; `None` where they are too few, or lie on
+    /// a line.
     #[must_use]
     pub fn fit(
         samples: &[FlowSample],
@@ -114,7 +118,8 @@ impl FlowField {
             + size_of_val(self.fractions.as_slice())
     }
 
-    /// Velocities at the pixels of a row of the image, px per unit of time: their horizontal and their vertical parts.
+    /// Velocities at the pixels of a row of the image, px per unit of time: their horizontal and
+    /// their vertical parts.
     pub fn row(&self, y: usize, parts: &mut [&mut [f32]; 2]) {
         let place = y as f32 / self.spacing_px;
         let row = (place as usize).min(self.nodes.len() / self.columns - 2);
@@ -172,7 +177,8 @@ struct Plane {
 }
 
 impl Plane {
-    /// Least absolute deviations by weighted least squares: other things than the plane do not bend it.
+    /// Least absolute deviations by weighted least squares: other things than the plane do not bend
+    /// it.
     fn fit(samples: &[FlowSample], frame: Frame) -> Option<Self> {
         let mut plane = Self {
             frame,

@@ -2,9 +2,10 @@
 //!
 //! `cargo run --release -p monogrid-slam --example kidnap -- FOLDER [cases] [frames before the loss]`
 //!
-//! Each case prints whether the camera was found again, after how many frames of video, and the largest
-//! error of a pose that was reported afterwards (aligned on the frames before the loss). A place counts as
-//! known when a frame before the loss was within 0.4 m and 25 degrees of the first one after it.
+//! Each case prints whether the camera was found again, after how many frames of video, and the
+//! largest error of a pose that was reported afterwards (aligned on the frames before the loss). A
+//! place counts as known when a frame before the loss was within 0.4 m and 25 degrees of the first
+//! one after it.
 #![allow(
     clippy::print_stdout,
     clippy::unwrap_used,
@@ -103,9 +104,9 @@ impl Scene {
         }
     }
 
-    /// Largest errors of position (m) and rotation (degrees) after the loss, with the alignment of the
-    /// frames before it: positions for the similarity, the mean of all rotations for the rotation, because
-    /// positions determine that less well.
+    /// Largest errors of position (m) and rotation (degrees) after the loss, with the alignment of
+    /// the frames before it: positions for the similarity, the mean of all rotations for the
+    /// rotation, because positions determine that less well.
     fn worst_errors(&self, poses: &[Reported], loss: usize) -> (f64, f64) {
         let prior: Vec<&Reported> = poses.iter().filter(|p| p.0 < loss).collect();
         let estimate: Vec<Vec3> = prior.iter().map(|p| p.2.translation).collect();

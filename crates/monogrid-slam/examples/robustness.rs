@@ -2,10 +2,11 @@
 //!
 //! `cargo run --release -p monogrid-slam --example robustness -- WORLD DISTURBANCE [seed=I] [frames=N] [imu=1] [list=1]`
 //!
-//! A built-in world at 320x240, carried by hand (`street`: by a car), with the noise of the demonstration. Disturbances: `low-rate`, `blur`,
-//! `exposure-jumps`, `black-frames`, `person`, `rolling-shutter`, `noise`, `fast`; `none` for comparison. Prints coverage, ATE
-//! as a share of the path, the share of the frames that were called good and are off by more than 2 % of the path or 3 degrees in
-//! the end, and how many frames were lost. `list=1` names the frames that are off.
+//! A built-in world at 320x240, carried by hand (`street`: by a car), with the noise of the
+//! demonstration. Disturbances: `low-rate`, `blur`, `exposure-jumps`, `black-frames`, `person`,
+//! `rolling-shutter`, `noise`, `fast`; `none` for comparison. Prints coverage, ATE as a share of
+//! the path, the share of the frames that were called good and are off by more than 2 % of the path
+//! or 3 degrees in the end, and how many frames were lost. `list=1` names the frames that are off.
 #![allow(
     clippy::print_stdout,
     clippy::unwrap_used,
@@ -25,8 +26,8 @@ use monogrid_worlds::{
 use options::Options;
 use std::sync::Arc;
 
-/// Frames in which a built-in motion goes its way at walking pace (in the street at that of a car), 30 per second, and who
-/// carries the camera.
+/// Frames in which a built-in motion goes its way at walking pace (in the street at that of a car),
+/// 30 per second, and who carries the camera.
 fn pace(world: &str) -> (usize, Carrier) {
     match world {
         "street" => (usual_frames(world), Carrier::Car),
@@ -90,7 +91,8 @@ impl Disturbance {
         effects
     }
 
-    /// The settings of a sequence whose first `frames` at walking pace and 30 per second are shown, and how many are.
+    /// The settings of a sequence whose first `frames` at walking pace and 30 per second are shown,
+    /// and how many are.
     fn sequence(self, usual_frames: usize, frames: usize, seed: u64) -> (SynthConfig, usize) {
         let usual = SynthConfig {
             frames: usual_frames,
@@ -133,7 +135,8 @@ impl Disturbance {
     }
 }
 
-/// Shows the sequence to a system of its own; it, the true poses, and what was said of each frame at the time.
+/// Shows the sequence to a system of its own; it, the true poses, and what was said of each frame
+/// at the time.
 fn run(
     sequence: &SynthSequence,
     disturbance: Disturbance,

@@ -1,7 +1,7 @@
 //! Panics on purpose, by which tests see that no part of a run can fail unheard.
 
-/// Panics where the environment variable `MONOGRID_PANIC_IN` is `part:N` and this is the N-th passage of that
-/// part, the first being 1. Builds without debug assertions never do.
+/// Panics where the environment variable `MONOGRID_PANIC_IN` is `part:N` and this is the N-th
+/// passage of that part, the first being 1. Builds without debug assertions never do.
 ///
 /// # Panics
 /// That is what it is for.

@@ -1,12 +1,13 @@
-//! A path beside the readings of an inertial sensor: a frame of the map in metres, with z against gravity.
+//! A path beside the readings of an inertial sensor: a frame of the map in metres, with z against
+//! gravity.
 
 use crate::TrajectoryPose;
 use monogrid_geometry::{Rotation, Sim3, Vec3};
 use monogrid_inertial::{Estimate, EstimateConfig, Imu, NotDetermined, Observation, estimate};
 use std::sync::Arc;
 
-/// The path of the main map at one moment, and what an inertial sensor beside the camera read; whoever has it can work on it in a
-/// thread of its own.
+/// The path of the main map at one moment, and what an inertial sensor beside the camera read;
+/// whoever has it can work on it in a thread of its own.
 #[derive(Clone, Debug)]
 pub struct InertialPath {
     imu: Arc<Imu>,
@@ -49,8 +50,9 @@ impl InertialPath {
         }
     }
 
-    /// The frame given by `map_from_world`, made level by the shortest turn, and metric about its origin, where the readings are sure
-    /// enough; a world that is metric already stays as long as it is. Takes some tenths of a second for a path of a minute.
+    /// The frame given by `map_from_world`, made level by the shortest turn, and metric about its
+    /// origin, where the readings are sure enough; a world that is metric already stays as long as
+    /// it is. Takes some tenths of a second for a path of a minute.
     ///
     /// # Errors
     /// When nothing follows from the readings.
@@ -89,8 +91,8 @@ fn turn_to_z(direction: &Vec3) -> Rotation {
 }
 
 impl SensedFrame {
-    /// Whether a map in the frame of `shown` should be brought to this one: by less neither a robot nor a reader is misled, and all
-    /// of the map has to be built again.
+    /// Whether a map in the frame of `shown` should be brought to this one: by less neither a robot
+    /// nor a reader is misled, and all of the map has to be built again.
     #[must_use]
     pub fn is_another(&self, shown: &Sim3) -> bool {
         const MAX_SCALE_RATIO: f64 = 1.01;
@@ -107,7 +109,8 @@ mod tests {
     use monogrid_geometry::{Se3, rotation_exp, z_up_from_camera_world};
     use monogrid_inertial::{GRAVITY_M_S2, ImuNoise, ImuSample};
 
-    /// A camera that swings along all of its axes, pitched by `tilt` rad; its world has units of `unit` metres.
+    /// A camera that swings along all of its axes, pitched by `tilt` rad; its world has units of
+    /// `unit` metres.
     fn path(tilt: f64, unit: f64, is_metric: bool) -> InertialPath {
         let camera_from_up = rotation_exp(&Vec3::new(tilt, 0.0, 0.0)) * -Vec3::y();
         let rates = [1.9, 2.6, 3.4];

@@ -64,7 +64,8 @@ impl Keyframe {
     }
 }
 
-/// A finished keyframe whose image and depth are where there is room: in memory, or in a file ([`crate::Slam::spill_into`]).
+/// A finished keyframe whose image and depth are where there is room: in memory, or in a file
+/// ([`crate::Slam::spill_into`]).
 #[derive(Clone, Debug)]
 pub struct KeptKeyframe {
     /// Identity.
@@ -146,9 +147,9 @@ pub struct PoseSnapshot {
     pub revision: u64,
     /// Pose and scale of each keyframe, by identity; in the world of its fragment.
     pub world_from_keyframe: Vec<Sim3>,
-    /// Covariance of a left update `[v, w, s]` of each keyframe's pose relative to the keyframe that it was
-    /// tracked on when it was made (mostly the one before), in the units of that one, by identity;
-    /// `None` or missing where it is not known (yet).
+    /// Covariance of a left update `[v, w, s]` of each keyframe's pose relative to the keyframe
+    /// that it was tracked on when it was made (mostly the one before), in the units of that one,
+    /// by identity; `None` or missing where it is not known (yet).
     pub previous_from_keyframe_covariance: Vec<Option<Mat7>>,
     /// The keyframe that each was tracked on when it was made, by identity; none for the first of a
     /// fragment.

@@ -13,10 +13,12 @@ pub enum TrackingState {
     Initialising,
     /// The pose is believed.
     Good,
-    /// The pose is believed, but less: grey values of frame and keyframe do not agree well enough to refine depth, or much
-    /// worse than those of the frames before ([`LostReason::Doubtful`]), or hold the pose much less ([`LostReason::Loose`]).
+    /// The pose is believed, but less: grey values of frame and keyframe do not agree well enough
+    /// to refine depth, or much worse than those of the frames before ([`LostReason::Doubtful`]),
+    /// or hold the pose much less ([`LostReason::Loose`]).
     Degraded,
-    /// The pose is believed, but only within a fragment of which it is not known where it lies in the main map.
+    /// The pose is believed, but only within a fragment of which it is not known where it lies in
+    /// the main map.
     Fragment,
     /// There is no pose for this frame.
     Lost,
@@ -60,7 +62,8 @@ pub enum LostReason {
     Repeated,
     /// The grey values agree with the keyframe much worse than those of the frames before did.
     Doubtful,
-    /// The grey values hold the pose much less than those of the frames before did: before a plain wall the camera may slide.
+    /// The grey values hold the pose much less than those of the frames before did: before a plain
+    /// wall the camera may slide.
     Loose,
 }
 
@@ -129,8 +132,8 @@ pub struct MapSize {
     pub bytes: MapBytes,
 }
 
-/// Bytes of the map by what they hold. The memory of places and the poses of the graph, which its thread owns, are not
-/// counted.
+/// Bytes of the map by what they hold. The memory of places and the poses of the graph, which its
+/// thread owns, are not counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct MapBytes {
     /// Images and depth of keyframes that are in memory.
@@ -161,11 +164,12 @@ pub struct FrameReport {
     /// Pose in the main map as known now; `None` while initialising or lost, or in a fragment.
     pub world_from_camera: Option<Se3>,
     /// Pose by what was tracked from frame to frame alone, in units of the world then: it begins at
-    /// `world_from_camera`, drifts, and never jumps. `None` while initialising or lost, or in a fragment, whose
-    /// unit is not that of the world; where the camera is recognised afterwards it goes on from where it was.
+    /// `world_from_camera`, drifts, and never jumps. `None` while initialising or lost, or in a
+    /// fragment, whose unit is not that of the world; where the camera is recognised afterwards it
+    /// goes on from where it was.
     pub odom_from_camera: Option<Se3>,
-    /// Covariance of the pose relative to the keyframe: twist `[v, w]`, left, in the frame, keyframe
-    /// units.
+    /// Covariance of the pose relative to the keyframe: twist `[v, w]`, left, in the frame,
+    /// keyframe units.
     #[serde(skip)]
     pub covariance: Option<Mat6>,
     /// Root mean square residual of good points, grey levels.

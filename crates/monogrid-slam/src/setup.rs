@@ -80,8 +80,8 @@ impl Setup {
         HostFrame::new(image, self.mask.clone(), self.pinhole).map(Arc::new)
     }
 
-    /// How the camera turned from one frame to another by the gyroscope, whose bias does not matter over so short a time;
-    /// `other_from_frame`.
+    /// How the camera turned from one frame to another by the gyroscope, whose bias does not matter
+    /// over so short a time; `other_from_frame`.
     pub(crate) fn turn(&self, frame_ns: i64, other_ns: i64) -> Option<Rotation> {
         let imu = self.imu.as_ref()?;
         imu.camera_turn(frame_ns, other_ns, &Vec3::zeros())

@@ -86,7 +86,8 @@ impl Start {
         }
     }
 
-    /// Takes the next frame: the first keyframe, or why there is none yet. A seed depth decides at once, whatever the mode.
+    /// Takes the next frame: the first keyframe, or why there is none yet. A seed depth decides at
+    /// once, whatever the mode.
     pub(crate) fn add_frame(
         &mut self,
         frame: Frame,

@@ -131,7 +131,8 @@ impl StoredPoint {
         self
     }
 
-    /// Whether the keyframes that it names exist, its pixels are inside their images, and its inverse depths those of a point.
+    /// Whether the keyframes that it names exist, its pixels are inside their images, and its
+    /// inverse depths those of a point.
     pub(crate) fn is_usable(&self, keyframes: &[StoredKeyframe]) -> bool {
         let is_inside = |id: KeyframeId, [x, y]: [f64; 2]| {
             keyframes.get(id as usize).is_some_and(|stored| {
@@ -205,8 +206,9 @@ pub enum ContinueError {
 }
 
 impl StoredMap {
-    /// Several maps in one, apart from each other: the keyframes of each behind those of the map before. The main map of each becomes the
-    /// fragment with its number, their other fragments follow. The scale is that of the first.
+    /// Several maps in one, apart from each other: the keyframes of each behind those of the map
+    /// before. The main map of each becomes the fragment with its number, their other fragments
+    /// follow. The scale is that of the first.
     #[must_use]
     pub fn side_by_side(maps: Vec<Self>) -> Self {
         let mut next_fragment = maps.len() as FragmentId;
@@ -238,7 +240,8 @@ impl StoredMap {
         all
     }
 
-    /// The keyframes of one fragment as a map of its own, in the world of the fragment, and the identities that they had.
+    /// The keyframes of one fragment as a map of its own, in the world of the fragment, and the
+    /// identities that they had.
     #[must_use]
     pub fn fragment(&self, fragment: FragmentId) -> (Self, Vec<KeyframeId>) {
         let all = self.keyframes.iter();
@@ -335,7 +338,8 @@ mod tests {
     use monogrid_graph::RobustKernel;
     use monogrid_image::Image;
 
-    /// Keyframes in these fragments, each tracked on the one before, with an edge between them and a point that both see.
+    /// Keyframes in these fragments, each tracked on the one before, with an edge between them and
+    /// a point that both see.
     fn map(fragments: &[FragmentId], focal: f64) -> StoredMap {
         let keyframe = |(id, fragment): (KeyframeId, &FragmentId)| StoredKeyframe {
             keyframe: Keyframe {

@@ -1,8 +1,9 @@
 //! Start from two views: features are followed from reference frames until the camera has moved
 //! sideways enough since one of them for a relative pose; then that becomes the first keyframe.
 //!
-//! Two views give a first pose only: views from all the time since the reference are adjusted together with the points, and the start waits
-//! until their depths are certain. A new reference is added when the camera has moved on, since features of the first get lost.
+//! Two views give a first pose only: views from all the time since the reference are adjusted
+//! together with the points, and the start waits until their depths are certain. A new reference is
+//! added when the camera has moved on, since features of the first get lost.
 
 use crate::depth_step::{observe, regularize};
 use crate::frame::{BufferedFrame, Frame};
@@ -130,14 +131,15 @@ impl TwoViewStart {
         }
     }
 
-    /// Whether another reference may do better: there is none, or the camera has moved on since the newest.
+    /// Whether another reference may do better: there is none, or the camera has moved on since the
+    /// newest.
     fn needs_reference(&self) -> bool {
         let newest = self.references.last();
         newest.is_none_or(|r| r.displacement() >= self.settings.reference_displacement)
     }
 
-    /// How the features of a reference are chosen. (From the first frame on, close ones make starts worse where there is enough to
-    /// see.)
+    /// How the features of a reference are chosen. (From the first frame on, close ones make starts
+    /// worse where there is enough to see.)
     fn corners(&self, pinhole: &Pinhole, sparse: &SparseConfig) -> CornerConfig {
         let close = corner_settings(self.settings.num_features, pinhole, sparse);
         if self.buffered.len() > self.settings.patient_frames {
@@ -219,8 +221,9 @@ struct PosedView {
 /// Views that are adjusted together at most.
 const MAX_VIEWS: usize = 10;
 
-/// A reference with fewer features than so many times the least is given up soon where the camera moves ahead. Those that are not found by
-/// their patch in the reference any more are followed from frame to frame, less exactly: where there are more, the start became worse by it.
+/// A reference with fewer features than so many times the least is given up soon where the camera
+/// moves ahead. Those that are not found by their patch in the reference any more are followed from
+/// frame to frame, less exactly: where there are more, the start became worse by it.
 const FEW_TIMES: usize = 3;
 
 /// References in competition at most; the oldest gives way.
@@ -245,8 +248,8 @@ impl Reference {
         });
     }
 
-    /// Follows those points from the last frame that are not found in `frame`, the newest view, by what they look like in the reference: a camera
-    /// that moves ahead sees them grow.
+    /// Follows those points from the last frame that are not found in `frame`, the newest view, by
+    /// what they look like in the reference: a camera that moves ahead sees them grow.
     fn follow_from(&mut self, last: &Pyramid, frame: &Frame) {
         let [.., before, view] = &mut self.views[..] else {
             return;
@@ -281,8 +284,8 @@ impl Reference {
         median / self.frame.image().width() as f64
     }
 
-    /// Poses of views since the reference: the last one from two views alone, then all of them and the
-    /// points adjusted together. Refused while the depths remain uncertain.
+    /// Poses of views since the reference: the last one from two views alone, then all of them and
+    /// the points adjusted together. Refused while the depths remain uncertain.
     fn solve(
         &self,
         pinhole: &Pinhole,

@@ -1,4 +1,5 @@
-//! A lost camera begins a fragment of the map, which is joined when it is recognised, and only then.
+//! A lost camera begins a fragment of the map, which is joined when it is recognised, and only
+//! then.
 #![allow(clippy::too_many_lines, reason = "a test tells its story in one place")]
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps")]
 

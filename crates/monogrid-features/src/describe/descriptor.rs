@@ -158,8 +158,8 @@ impl FeatureExtractor {
         features
     }
 
-    /// Descriptor at a level-0 pixel on a level that [`Self::smoothed_levels`] gave; `None` too close to
-    /// the border.
+    /// Descriptor at a level-0 pixel on a level that [`Self::smoothed_levels`] gave; `None` too
+    /// close to the border.
     pub(crate) fn describe_at(
         &self,
         smooth: &GrayImage,
@@ -251,8 +251,8 @@ impl FeatureExtractor {
 /// Pairs of points inside the disc: the first from a wide Gaussian, the second near the first.
 ///
 /// Short pairs see high frequencies and are nearly independent; long ones all see the same shading,
-/// which makes different patches alike. Of 53 returns in a recorded kitchen, 45 pass a geometric check
-/// with this pattern and 33 with pairs of independent points (`examples/places.rs`).
+/// which makes different patches alike. Of 53 returns in a recorded kitchen, 45 pass a geometric
+/// check with this pattern and 33 with pairs of independent points (`examples/places.rs`).
 fn draw_pattern() -> Vec<[[f64; 2]; 2]> {
     let mut rng = Rng::new(PATTERN_SEED);
     let limit = f64::from(RADIUS) - 1.0;

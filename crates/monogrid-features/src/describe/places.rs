@@ -71,8 +71,8 @@ struct Entry {
     next: [u32; NUM_PARTS],
 }
 
-/// Descriptors of all places, findable by any of their parts. About 4 MB as soon as there are any, and 100 bytes per
-/// descriptor.
+/// Descriptors of all places, findable by any of their parts. About 4 MB as soon as there are any,
+/// and 100 bytes per descriptor.
 #[derive(Clone, Debug)]
 pub struct PlaceIndex {
     heads: Vec<u32>,

@@ -11,18 +11,21 @@ pub struct PlaceMemoryConfig {
     pub candidates: PlaceConfig,
     /// Random sampling of poses. Default: 5 px (depth is not exact), 400 samples, 10 inliers.
     pub pose: AbsolutePoseConfig,
-    /// Largest relative standard deviation of the inverse depth of a corner that is used. Default 0.15.
+    /// Largest relative standard deviation of the inverse depth of a corner that is used. Default
+    /// 0.15.
     pub max_relative_sigma: f64,
     /// Standard deviation of a corner's position, px of its level. Default 1.
     pub pixel_sigma: f64,
     /// Largest number of differing bits where the pose predicts a corner. Default 70.
     pub max_guided_distance: u32,
-    /// Fewest corners that agree with the final pose, and fewest that should be in view. Default 25.
+    /// Fewest corners that agree with the final pose, and fewest that should be in view. Default
+    /// 25.
     pub min_inliers: usize,
-    /// Fewest parts of the image (of 6 x 4) with corners that agree, and with several that should be in
-    /// view: repeated posters and ceilings agree in small parts of the image. Default 6.
+    /// Fewest parts of the image (of 6 x 4) with corners that agree, and with several that should
+    /// be in view: repeated posters and ceilings agree in small parts of the image. Default 6.
     pub min_cells: usize,
-    /// The same of a loop closure: a few things far away say little about the translation. Default 8.
+    /// The same of a loop closure: a few things far away say little about the translation. Default
+    /// 8.
     pub min_loop_cells: usize,
     /// Smallest share of the corners in view that look as predicted, of a relocalised frame.
     /// Default 0.5.

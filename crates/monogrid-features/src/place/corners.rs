@@ -1,4 +1,5 @@
-//! What is remembered of a keyframe beside the index: enough to verify a candidate, and not needed before.
+//! What is remembered of a keyframe beside the index: enough to verify a candidate, and not needed
+//! before.
 
 use super::locate::Side;
 use super::view::Landmark;
@@ -7,8 +8,8 @@ use monogrid_geometry::{Pinhole, Vec2, Vec3};
 use std::fmt::Debug;
 use std::sync::Arc;
 
-/// The corners of a remembered keyframe with their descriptors, and the positions of those whose depth is known. Some 170 bytes per
-/// corner.
+/// The corners of a remembered keyframe with their descriptors, and the positions of those whose
+/// depth is known. Some 170 bytes per corner.
 #[derive(Clone, Debug)]
 pub struct PlaceCorners {
     pub(super) pinhole: Pinhole,

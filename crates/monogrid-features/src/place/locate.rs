@@ -36,8 +36,8 @@ impl<'a> Side<'a> {
 /// Half widths of the guided search, px of the corner's level, and its repetitions.
 const RADII_PX: [f64; 2] = [12.0, 6.0];
 
-/// Pose of view `b` relative to keyframe `a`, whose landmarks it sees; `matches` pair features of `b`
-/// (`a_idx`) with those of `a` (`b_idx`), as a query of the index returns them.
+/// Pose of view `b` relative to keyframe `a`, whose landmarks it sees; `matches` pair features of
+/// `b` (`a_idx`) with those of `a` (`b_idx`), as a query of the index returns them.
 pub(super) fn locate(
     a: &Side<'_>,
     b: &Side<'_>,
@@ -118,8 +118,8 @@ fn correspondences(
         .collect()
 }
 
-/// A rigid pose in the units of `a` as a similarity: the ratio of the units is the median ratio of the
-/// depths that `b` knows to those that the pose predicts. `None` with too few of them.
+/// A rigid pose in the units of `a` as a similarity: the ratio of the units is the median ratio of
+/// the depths that `b` knows to those that the pose predicts. `None` with too few of them.
 fn with_scale(
     correspondences: &[Correspondence],
     b_from_a: &Sim3,

@@ -50,8 +50,9 @@ fn size_of(pyramid: &Pyramid) -> (usize, usize) {
     (image.width(), image.height())
 }
 
-/// Remembers keyframes by their appearance: in memory what recognises them (100 bytes per corner), and where the caller keeps it what
-/// verifies that (170 bytes). Its image is asked for where it is needed.
+/// Remembers keyframes by their appearance: in memory what recognises them (100 bytes per corner),
+/// and where the caller keeps it what verifies that (170 bytes). Its image is asked for where it is
+/// needed.
 #[derive(Clone, Debug)]
 pub struct PlaceMemory {
     pinhole: Pinhole,
@@ -63,7 +64,8 @@ pub struct PlaceMemory {
 }
 
 impl PlaceMemory {
-    /// A memory without keyframes, in which frames with this camera are looked for. Images are undistorted.
+    /// A memory without keyframes, in which frames with this camera are looked for. Images are
+    /// undistorted.
     #[must_use]
     pub fn new(pinhole: Pinhole, config: PlaceMemoryConfig) -> Self {
         Self {
@@ -95,8 +97,8 @@ impl PlaceMemory {
         self.known.is_empty()
     }
 
-    /// Remembers a keyframe, which may have another camera than frames have. Returns whether it was new: a known
-    /// identity gets the new depths, its image stays.
+    /// Remembers a keyframe, which may have another camera than frames have. Returns whether it was
+    /// new: a known identity gets the new depths, its image stays.
     pub fn insert(
         &mut self,
         id: u64,
@@ -192,9 +194,9 @@ impl PlaceMemory {
         found
     }
 
-    /// Remembered keyframes that show the same place as the remembered keyframe `id`, verified in both
-    /// directions, most inliers first. `is_allowed` excludes keyframes, such as its neighbours; `pyramid_of` has the images of remembered
-    /// keyframes, as far as they can be had.
+    /// Remembered keyframes that show the same place as the remembered keyframe `id`, verified in
+    /// both directions, most inliers first. `is_allowed` excludes keyframes, such as its
+    /// neighbours; `pyramid_of` has the images of remembered keyframes, as far as they can be had.
     #[must_use]
     pub fn find_loops(
         &self,
@@ -257,8 +259,8 @@ impl PlaceMemory {
         found
     }
 
-    /// The allowed keyframes that may show the place of these corners: those that share most of them, with
-    /// FAB-MAP only of those that are more probable than a new place.
+    /// The allowed keyframes that may show the place of these corners: those that share most of
+    /// them, with FAB-MAP only of those that are more probable than a new place.
     fn look_alikes(
         &self,
         descriptors: &[Descriptor],

@@ -1,8 +1,8 @@
-//! Known places: where a frame is when nothing else is known, and whether two keyframes show the same
-//! place.
+//! Known places: where a frame is when nothing else is known, and whether two keyframes show the
+//! same place.
 //!
-//! [`PlaceMemory`] keeps the corners of keyframes with their descriptors and inverse depths. A query goes
-//! through these steps, each of which can end it:
+//! [`PlaceMemory`] keeps the corners of keyframes with their descriptors and inverse depths. A
+//! query goes through these steps, each of which can end it:
 //!
 //! 1. keyframes that look alike ([`crate::PlaceIndex`]), with correspondences;
 //! 2. a pose from three points in random samples ([`crate::absolute_pose`]);

@@ -1,5 +1,5 @@
-//! Pose of one view in another by least squares over corners that both see, with the noise of pixels and
-//! of depths.
+//! Pose of one view in another by least squares over corners that both see, with the noise of
+//! pixels and of depths.
 
 use monogrid_geometry::nalgebra::{Matrix2, Matrix2x3, SMatrix};
 use monogrid_geometry::{Mat7, Pinhole, Sim3, Vec2, Vec3, Vec7, hat};
@@ -240,8 +240,8 @@ fn depth_residual(c: &Correspondence, b_from_a: &Sim3) -> Option<(Vec7, f64, f64
     Some((row, (p.z / backward.point.z).ln(), variance))
 }
 
-/// Whether everything known about a correspondence agrees with the pose. Depths of two keyframes can
-/// be compared only when the ratio of their units is known.
+/// Whether everything known about a correspondence agrees with the pose. Depths of two keyframes
+/// can be compared only when the ratio of their units is known.
 fn is_inlier(c: &Correspondence, pose: &Sim3, freedom: Freedom) -> bool {
     let agrees = |projection: &Option<Projection>, pose: &Sim3| {
         projection.as_ref().is_none_or(|p| {

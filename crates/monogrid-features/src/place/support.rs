@@ -39,8 +39,8 @@ const MIN_IN_CELL: usize = 3;
 const MIN_CELL_AGREEMENT: f64 = 0.25;
 /// Largest change of size, in octaves, at which a descriptor can be expected to agree.
 const MAX_OCTAVES: f64 = 1.0;
-/// Offsets at which the corner is looked for beside its predicted pixel, px of its level: the pose is
-/// not exact.
+/// Offsets at which the corner is looked for beside its predicted pixel, px of its level: the pose
+/// is not exact.
 const OFFSETS_PX: [[f64; 2]; 8] = [
     [-2.0, 0.0],
     [2.0, 0.0],

@@ -35,8 +35,8 @@ const MIN_DEPTHS: usize = 3;
 const SAME_SURFACE: f32 = 0.1;
 
 impl DepthLookup {
-    /// Depths of pixels `(column, row, depth)` of a level-0 image; what lies outside, is not finite or
-    /// not positive is left out.
+    /// Depths of pixels `(column, row, depth)` of a level-0 image; what lies outside, is not finite
+    /// or not positive is left out.
     #[must_use]
     pub fn new(
         width: usize,
@@ -56,8 +56,8 @@ impl DepthLookup {
         Self { depths }
     }
 
-    /// Median depth of the pixels around a corner; `None` when they are few or disagree, as on an edge
-    /// between near and far.
+    /// Median depth of the pixels around a corner; `None` when they are few or disagree, as on an
+    /// edge between near and far.
     #[must_use]
     pub fn at(&self, pixel: &Vec2) -> Option<InverseDepth> {
         if !(pixel.x.is_finite() && pixel.y.is_finite()) {

@@ -1,13 +1,17 @@
-//! How much an image looks like a patch at a place, as a cost that can be minimised together with other costs.
+//! How much an image looks like a patch at a place, as a cost that can be minimised together with
+//! other costs.
 //!
-//! At a pixel `u` the patch `T` and the image `I` differ by `r(u) = I(u + o) - g T(o) - b` over the offsets `o`, where gain and bias are
-//! those of least squares: what is left of the image when its mean and its part along `T` are taken out, a linear function of the image
-//! with the derivative `P grad I`. How well a patch can fit (slant, reflections, something nearer in a corner of it) is different for each and not
-//! known, so its noise is an unknown of its own: the negative logarithm of the likelihood, noise eliminated, of `n` independent values is
-//! `n/2 ln(s^2 + mean rho(r))`, with a Huber kernel `rho` and the noise `s^2` that every image has. A patch that fits badly everywhere has little to
-//! say, one that fits well at one place much.
+//! At a pixel `u` the patch `T` and the image `I` differ by `r(u) = I(u + o) - g T(o) - b` over the
+//! offsets `o`, where gain and bias are those of least squares: what is left of the image when its
+//! mean and its part along `T` are taken out, a linear function of the image with the derivative `P
+//! grad I`. How well a patch can fit (slant, reflections, something nearer in a corner of it) is
+//! different for each and not known, so its noise is an unknown of its own: the negative logarithm
+//! of the likelihood, noise eliminated, of `n` independent values is `n/2 ln(s^2 + mean rho(r))`,
+//! with a Huber kernel `rho` and the noise `s^2` that every image has. A patch that fits badly
+//! everywhere has little to say, one that fits well at one place much.
 //!
-//! Reference: Baker and Matthews, *Lucas-Kanade 20 years on*, 2004, part 3, for linear appearance variation.
+//! Reference: Baker and Matthews, *Lucas-Kanade 20 years on*, 2004, part 3, for linear appearance
+//! variation.
 
 use super::patch::warped;
 use super::points::to_f32;
@@ -18,8 +22,8 @@ use monogrid_image::{Image, Pyramid};
 
 const NUM: f32 = (SIDE * SIDE) as f32;
 
-/// Smallest contrast of the image relative to the patch that counts as the same texture: a plain wall differs little from anything times
-/// zero.
+/// Smallest contrast of the image relative to the patch that counts as the same texture: a plain
+/// wall differs little from anything times zero.
 const MIN_GAIN: f32 = 0.3;
 
 /// What a difference between patch and image costs.
@@ -27,9 +31,11 @@ const MIN_GAIN: f32 = 0.3;
 pub struct LikenessConfig {
     /// Noise of every image, grey levels. Default 0.5.
     pub noise: f32,
-    /// Difference of a pixel from which on it grows no more than in proportion (Huber), grey levels. Default 3.
+    /// Difference of a pixel from which on it grows no more than in proportion (Huber), grey
+    /// levels. Default 3.
     pub kernel: f32,
-    /// Pixels of a patch whose differences are independent: neighbours share their errors. Default 3.
+    /// Pixels of a patch whose differences are independent: neighbours share their errors. Default
+    /// 3.
     pub independent_pixels: f32,
 }
 
@@ -83,8 +89,9 @@ struct Rest {
 }
 
 impl Likeness {
-    /// The patch around a pixel (level-0 px of `reference`) as an image sees it that is mapped there by `reference_from_current`
-    /// ([`super::patch_warp`]); `None` at the border, and without contrast.
+    /// The patch around a pixel (level-0 px of `reference`) as an image sees it that is mapped
+    /// there by `reference_from_current` ([`super::patch_warp`]); `None` at the border, and without
+    /// contrast.
     #[must_use]
     pub fn new(
         reference: &Pyramid,

@@ -302,8 +302,9 @@ fn grid_peaks(scores: &[f32], side: usize) -> Vec<(usize, usize)> {
     peaks.into_iter().map(|(_, at)| at).collect()
 }
 
-/// The patch with border around `pixel` (level-0 px of `reference`), as level `level` of an image has it that is mapped there by
-/// `reference_from_current`, from the level of `reference` whose pixels are about as large.
+/// The patch with border around `pixel` (level-0 px of `reference`), as level `level` of an image
+/// has it that is mapped there by `reference_from_current`, from the level of `reference` whose
+/// pixels are about as large.
 pub(super) fn warped(
     reference: &Pyramid,
     pixel: &Vec2,
@@ -322,7 +323,8 @@ pub(super) fn warped(
     sample_warped(image, &level_pixel(pixel, reference_level), &warp)
 }
 
-/// The patch with border whose sample at offset `u` is `image(centre + warp u)`; `None` where it is not all inside.
+/// The patch with border whose sample at offset `u` is `image(centre + warp u)`; `None` where it is
+/// not all inside.
 fn sample_warped(
     image: &GrayImage,
     centre: &Vec2,
@@ -371,7 +373,8 @@ fn sample_warped(
     Some(out)
 }
 
-/// Groups of places that are looked up together in a patch with border; those beyond it are the first pixel.
+/// Groups of places that are looked up together in a patch with border; those beyond it are the
+/// first pixel.
 const EIGHTS: usize = (WIDE * WIDE).div_ceil(LANES);
 
 for_lanes! {

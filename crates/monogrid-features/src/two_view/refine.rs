@@ -1,4 +1,5 @@
-//! Bundle adjustment of two views: relative pose with unit baseline, and an inverse depth per match.
+//! Bundle adjustment of two views: relative pose with unit baseline, and an inverse depth per
+//! match.
 //!
 //! The pixel in `a` anchors the point, the residual is the reprojection error in `b`:
 //! `r = project(R m + rho t) - b` with `m = K^-1 a`. The inverse depths are eliminated (Schur), the
@@ -71,8 +72,9 @@ pub(super) fn refine(problem: &Problem, initial: &Se3, sigma_px: f64) -> Option<
     })
 }
 
-/// Inverse depths that take part, in 1 / baseline. What is behind the camera contradicts the motion,
-/// and an outlier that comes out closer than a fifth of the baseline would pull like a hundred.
+/// Inverse depths that take part, in 1 / baseline. What is behind the camera contradicts the
+/// motion, and an outlier that comes out closer than a fifth of the baseline would pull like a
+/// hundred.
 const USABLE_IDEPTH: std::ops::Range<f64> = -0.5..5.0;
 
 /// Scale of Cauchy's loss in deviations for an efficiency of 95 % on Gaussian noise.

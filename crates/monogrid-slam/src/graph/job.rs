@@ -62,7 +62,8 @@ pub(crate) struct GraphJob {
     pub shared_points: Vec<SharedPoints>,
     /// Whether all keyframes look for constraints once more.
     pub is_final: bool,
-    /// The fragments that this moves: one of an earlier session that has no new keyframes stays as its points have it.
+    /// The fragments that this moves: one of an earlier session that has no new keyframes stays as
+    /// its points have it.
     pub grown: BTreeSet<FragmentId>,
 }
 
@@ -90,7 +91,8 @@ pub(crate) struct GraphUpdate {
     pub stats: GraphStats,
 }
 
-/// What happened to edges. All of them are as many as keyframes a run has made: they are not handed over again and again.
+/// What happened to edges. All of them are as many as keyframes a run has made: they are not handed
+/// over again and again.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct EdgeChanges {
     /// Edges that are new or different, ascending by key.

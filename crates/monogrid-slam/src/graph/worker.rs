@@ -1,4 +1,5 @@
-//! Runs the work of the graph on a thread of its own. A panic there goes on in the thread that waits for it.
+//! Runs the work of the graph on a thread of its own. A panic there goes on in the thread that
+//! waits for it.
 
 use super::{GraphJob, GraphUpdate, KeyframeGraph, Relocalised};
 use crate::fault;
@@ -84,7 +85,8 @@ impl GraphWorker {
         }
     }
 
-    /// The result of the job under way, of which there must be one, waiting for it; `None` once the thread has failed.
+    /// The result of the job under way, of which there must be one, waiting for it; `None` once the
+    /// thread has failed.
     ///
     /// # Panics
     /// With the panic of the thread, once.
@@ -103,7 +105,8 @@ impl GraphWorker {
         }
     }
 
-    /// Where a frame is among the keyframes of all jobs so far, waiting for the answer; nowhere once the thread has failed.
+    /// Where a frame is among the keyframes of all jobs so far, waiting for the answer; nowhere
+    /// once the thread has failed.
     ///
     /// # Panics
     /// With the panic of the thread, once.
@@ -143,8 +146,9 @@ fn ask(requests: &Option<Sender<Request>>, request: Request) {
 
 /// A pool for the parallel loops of this thread that consists of this thread alone.
 ///
-/// In the pool of the others a thread that waits for a part of this thread's loop may take up the next frame
-/// meanwhile, and tracking that frame may wait for this thread: both would wait for ever.
+/// In the pool of the others a thread that waits for a part of this thread's loop may take up the
+/// next frame meanwhile, and tracking that frame may wait for this thread: both would wait for
+/// ever.
 fn pool_of_this_thread() -> Option<rayon::ThreadPool> {
     let builder = rayon::ThreadPoolBuilder::new().num_threads(1);
     builder.use_current_thread().build().ok()
@@ -158,7 +162,8 @@ impl Drop for GraphWorker {
         {
             requests.take();
             if let Some(thread) = thread.take() {
-                // nobody waits for what it does any more, and a panic while another goes on would end the process
+                // nobody waits for what it does any more, and a panic while another goes on would
+                // end the process
                 let _ = thread.join();
             }
         }

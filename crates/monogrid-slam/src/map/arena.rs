@@ -16,8 +16,8 @@ use std::collections::BTreeSet;
 use std::ops::Index;
 use std::sync::Arc;
 
-/// The map. Keyframes have consecutive identities; points, consecutive indices, those of an older host
-/// before those of a newer one.
+/// The map. Keyframes have consecutive identities; points, consecutive indices, those of an older
+/// host before those of a newer one.
 #[derive(Debug, Default)]
 pub(crate) struct Map {
     /// Images and depth of the keyframes.
@@ -193,7 +193,8 @@ impl Map {
         1 + self.fragments.last().map_or(MAIN_MAP, |f| f.id)
     }
 
-    /// The fragments other than the main map, by identity, with what they hold or held when they were joined.
+    /// The fragments other than the main map, by identity, with what they hold or held when they
+    /// were joined.
     pub(crate) fn fragments(&self) -> Vec<Fragment> {
         let fragments = self.fragments.iter();
         fragments.map(|f| self.with_counts(f)).collect()
@@ -233,7 +234,8 @@ impl Map {
         }
     }
 
-    /// Steps from keyframe to keyframe along which tracking came from `a` to `b`, in either direction.
+    /// Steps from keyframe to keyframe along which tracking came from `a` to `b`, in either
+    /// direction.
     pub(crate) fn steps_between(&self, a: KeyframeId, b: KeyframeId) -> u32 {
         let parent_of = |id: KeyframeId| self.get(id).and_then(|keyframe| keyframe.parent);
         path_between(parent_of, a, b).len().saturating_sub(1) as u32

@@ -300,7 +300,8 @@ impl Map {
         }
     }
 
-    /// Moves the keyframes of a fragment to where it lies in another, of which they are a part from now on, after this frame.
+    /// Moves the keyframes of a fragment to where it lies in another, of which they are a part from
+    /// now on, after this frame.
     pub(crate) fn place(&mut self, placed: Joined, into_from_fragment: &Sim3, frame_index: usize) {
         self.join(&placed, frame_index);
         for index in 0..self.keyframes.len() {
@@ -313,7 +314,8 @@ impl Map {
         self.note_poses();
     }
 
-    /// Makes a fragment that is apart the main map, and the main map that fragment; each keeps its world.
+    /// Makes a fragment that is apart the main map, and the main map that fragment; each keeps its
+    /// world.
     pub(crate) fn exchange(&mut self, fragment: FragmentId) {
         let exchanged = |id: FragmentId| match id {
             MAIN_MAP => fragment,

@@ -44,9 +44,11 @@ impl FrameLog {
     }
 }
 
-/// How much longer the ways from a keyframe are than they were tracked on its depth: tracking shrinks translations, since depth and
-/// gradients have noise (by up to a percent and a half in rendered rooms), while the poses of keyframes come from adjusted points. It shows where the last frame of
-/// a visit was tracked and where the next keyframe has it; neighbouring visits are alike, and say it together.
+/// How much longer the ways from a keyframe are than they were tracked on its depth: tracking
+/// shrinks translations, since depth and gradients have noise (by up to a percent and a half in
+/// rendered rooms), while the poses of keyframes come from adjusted points. It shows where the last
+/// frame of a visit was tracked and where the next keyframe has it; neighbouring visits are alike,
+/// and say it together.
 #[derive(Clone, Copy, Debug, Default)]
 struct Stretch {
     /// Sum of tracked way times way as it is known now, in squared units of the keyframes.
@@ -56,9 +58,10 @@ struct Stretch {
 }
 
 impl Stretch {
-    /// The way of a last frame from its keyframe, as it was tracked and as it is known now, in units of the keyframe.
-    /// Noise shrinks a way by less than two percent; where the two differ by more, or by a tenth across, one of them is wrong for another
-    /// reason, and nobody knows which: the visit says nothing.
+    /// The way of a last frame from its keyframe, as it was tracked and as it is known now, in
+    /// units of the keyframe. Noise shrinks a way by less than two percent; where the two differ by
+    /// more, or by a tenth across, one of them is wrong for another reason, and nobody knows which:
+    /// the visit says nothing.
     fn of(tracked: &Vec3, known: &Vec3) -> Self {
         const MAX_ALONG: f64 = 0.02;
         const MAX_ACROSS: f64 = 0.1;
@@ -101,8 +104,8 @@ impl Stretch {
     }
 }
 
-/// What is known now about the end of a visit: the pose of its last frame relative to the next keyframe
-/// differs from the tracked one.
+/// What is known now about the end of a visit: the pose of its last frame relative to the next
+/// keyframe differs from the tracked one.
 struct Correction {
     begin_ns: i64,
     end_ns: i64,
@@ -161,8 +164,8 @@ impl Map {
         self.frames.records.last()
     }
 
-    /// `last_from_this` of two frames as both were tracked on one keyframe, in units of the world; `None` if
-    /// there is none that knows both.
+    /// `last_from_this` of two frames as both were tracked on one keyframe, in units of the world;
+    /// `None` if there is none that knows both.
     pub(crate) fn tracked_step(&self, last: &Record, this: &Record) -> Option<Se3> {
         let keyframe = self.keyframe_of(this)?;
         let last_from_keyframe = if last.visit == this.visit {
@@ -181,9 +184,9 @@ impl Map {
 
     /// The frames of a fragment, in its world, in the order of time, with everything known now.
     ///
-    /// Frames are known relative to their keyframe. Where the keyframe after it says something else about
-    /// the last of them, all ways from the keyframe are stretched alike as far as that explains it, and the rest of the difference is
-    /// spread over the frames of the visit.
+    /// Frames are known relative to their keyframe. Where the keyframe after it says something else
+    /// about the last of them, all ways from the keyframe are stretched alike as far as that
+    /// explains it, and the rest of the difference is spread over the frames of the visit.
     pub(crate) fn trajectory_in(&self, fragment: FragmentId) -> Vec<TrajectoryPose> {
         let mut poses: Vec<TrajectoryPose> = self
             .corrected_poses()
@@ -268,7 +271,8 @@ impl Map {
         Some(Stretch::of(&tracked, &adjusted))
     }
 
-    /// The correction over the time of a visit, whose ways are stretched; none where tracking was lost at its end.
+    /// The correction over the time of a visit, whose ways are stretched; none where tracking was
+    /// lost at its end.
     fn correction(&self, visit: &Visit, next: &Visit, factor: f64) -> Option<Correction> {
         let end = visit.end.as_ref()?;
         let frame_from_keyframe = end.frame_from_keyframe.stretched(factor);

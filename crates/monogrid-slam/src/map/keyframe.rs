@@ -15,7 +15,8 @@ pub(crate) struct MapKeyframe {
     pub id: KeyframeId,
     /// Fragment that it belongs to now.
     pub fragment: FragmentId,
-    /// Keyframes of that fragment when it was made: the first ones of a random start are not to be trusted.
+    /// Keyframes of that fragment when it was made: the first ones of a random start are not to be
+    /// trusted.
     pub rank: u32,
     /// Keyframe that it was tracked on when it was made; none for the first of a fragment.
     pub parent: Option<KeyframeId>,
@@ -47,8 +48,8 @@ impl MapKeyframe {
     /// Rigid pose of `other` relative to this keyframe, translation in this keyframe's units.
     pub(crate) fn other_from_self(&self, other: &Self) -> Se3 {
         let relative = other.world_from_keyframe.inverse() * self.world_from_keyframe;
-        // `relative` maps own units to the other's units: its scale is s_self / s_other; dividing by it
-        // expresses the translation in own units.
+        // `relative` maps own units to the other's units: its scale is s_self / s_other; dividing
+        // by it expresses the translation in own units.
         Se3::new(relative.rotation, relative.translation / relative.scale)
     }
 

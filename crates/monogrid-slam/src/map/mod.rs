@@ -1,8 +1,8 @@
 //! The map of keyframes: one place that owns everything known about them.
 //!
-//! Stages of the method read a [`Map`]; it changes by its own methods alone. What others should hear of comes out
-//! of it as [`Event`]s. The graph's thread and everybody else read an immutable [`crate::PoseSnapshot`] and
-//! the immutable parts of keyframes behind an `Arc`.
+//! Stages of the method read a [`Map`]; it changes by its own methods alone. What others should
+//! hear of comes out of it as [`Event`]s. The graph's thread and everybody else read an immutable
+//! [`crate::PoseSnapshot`] and the immutable parts of keyframes behind an `Arc`.
 
 mod arena;
 mod changes;

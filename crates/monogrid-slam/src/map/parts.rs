@@ -2,10 +2,11 @@
 
 use crate::{EdgeKind, KeyframeId, StoredEdge};
 
-/// Of each keyframe, by identity, the oldest one that constraints between common points or by direct alignment join it with, perhaps over others.
+/// Of each keyframe, by identity, the oldest one that constraints between common points or by
+/// direct alignment join it with, perhaps over others.
 ///
-/// Within such a part, places are known as well as points and images say. Two parts know of each other only by how the camera was tracked in
-/// between, which drifts, or across a loss.
+/// Within such a part, places are known as well as points and images say. Two parts know of each
+/// other only by how the camera was tracked in between, which drifts, or across a loss.
 pub(crate) fn parts(num_keyframes: usize, edges: &[StoredEdge]) -> Vec<KeyframeId> {
     let mut oldest: Vec<KeyframeId> = (0..num_keyframes as KeyframeId).collect();
     for edge in edges.iter().filter(|edge| edge.kind != EdgeKind::Odometry) {
@@ -30,8 +31,8 @@ fn root(oldest: &mut [KeyframeId], mut id: usize) -> usize {
     id
 }
 
-/// The keyframes along which tracking came from `a` to `b`, in either direction. Keyframes without a common
-/// ancestor follow each other.
+/// The keyframes along which tracking came from `a` to `b`, in either direction. Keyframes without
+/// a common ancestor follow each other.
 pub(crate) fn path_between(
     parent_of: impl Fn(KeyframeId) -> Option<KeyframeId>,
     a: KeyframeId,

@@ -2,8 +2,8 @@
 
 use monogrid_geometry::{Pinhole, Vec2, Vec3};
 
-/// The pinhole of images out of which not all of the radial distortion was taken: a ray at `x` from the axis, in focal lengths, is
-/// seen at `x (1 + radial |x|^2)`.
+/// The pinhole of images out of which not all of the radial distortion was taken: a ray at `x` from
+/// the axis, in focal lengths, is seen at `x (1 + radial |x|^2)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct LeftLens {
     pub pinhole: Pinhole,

@@ -8,7 +8,8 @@ use monogrid_geometry::Vec2;
 use monogrid_graph::bundle::{Appearance, BundleProblem, Observation, PixelSlope};
 use monogrid_image::Image;
 
-/// Side of the piece of an image around the place of a point, px: a patch of eight with its border may move by two and a half.
+/// Side of the piece of an image around the place of a point, px: a patch of eight with its border
+/// may move by two and a half.
 const SIDE: usize = 16;
 
 /// The patches of the points of a problem, and what keyframes show where they see them.
@@ -30,7 +31,8 @@ struct Look {
 }
 
 impl Looks {
-    /// Patches as the poses and depths of a problem warp them. `keyframes` and `points` are the identities behind its indices.
+    /// Patches as the poses and depths of a problem warp them. `keyframes` and `points` are the
+    /// identities behind its indices.
     pub fn new(
         map: &Map,
         problem: &BundleProblem,
@@ -75,7 +77,8 @@ impl Looks {
 }
 
 impl Look {
-    /// A patch in an image, where a point is projected to; `None` where the image shows something else.
+    /// A patch in an image, where a point is projected to; `None` where the image shows something
+    /// else.
     fn new(
         likeness: Likeness,
         image: &Image<u8>,

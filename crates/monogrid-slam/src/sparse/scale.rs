@@ -33,9 +33,9 @@ pub(crate) fn dense_links(
         .collect()
 }
 
-/// Poses and units of the newest keyframes of a fragment as the points have them. Where too few points pin a unit
-/// it stays. Older ones are to stay as the graph has them, which moves the same newest: units that change where it
-/// does not reach would pull at its border for ever.
+/// Poses and units of the newest keyframes of a fragment as the points have them. Where too few
+/// points pin a unit it stays. Older ones are to stay as the graph has them, which moves the same
+/// newest: units that change where it does not reach would pull at its border for ever.
 pub(crate) fn world_from_keyframes(
     map: &Map,
     fragment: FragmentId,

@@ -1,14 +1,19 @@
 //! What is kept of keyframes: in memory as far as there is room, beyond that in a file.
 //!
-//! A [`Kept`] value is immutable and comes back, the same in every bit, whenever somebody asks for it; that is why no result depends on how
-//! much room there is. What was used least recently leaves first, by the order of use and never by a clock:
+//! A [`Kept`] value is immutable and comes back, the same in every bit, whenever somebody asks for
+//! it; that is why no result depends on how much room there is. What was used least recently leaves
+//! first, by the order of use and never by a clock:
 //!
-//! * a value of its own ([`Store::keep`]) leaves for the file, where there is one ([`Store::spill_into`]), and is written at most once;
-//! * a value that follows from others ([`Store::derive`]), such as the pyramid of an image, is made again.
+//! - a value of its own ([`Store::keep`]) leaves for the file, where there is one
+//!   ([`Store::spill_into`]), and is written at most once;
+//! - a value that follows from others ([`Store::derive`]), such as the pyramid of an image, is made
+//!   again.
 //!
-//! The file holds what a running system works with and nothing that a later one needs: what survives the process is the recording.
+//! The file holds what a running system works with and nothing that a later one needs: what
+//! survives the process is the recording.
 //!
-//! Depth at the final poses and what is mapped of each keyframe are kept here too, so that the end of a run needs a few of them at a time.
+//! Depth at the final poses and what is mapped of each keyframe are kept here too, so that the end
+//! of a run needs a few of them at a time.
 
 mod config;
 mod packed;
@@ -130,8 +135,8 @@ impl<T> Kept<T> {
 }
 
 impl<T: Measured> Kept<T> {
-    /// The value; `None` where it, or what it follows from, cannot be read back from the file. The store remembers that
-    /// ([`Store::failure`]).
+    /// The value; `None` where it, or what it follows from, cannot be read back from the file. The
+    /// store remembers that ([`Store::failure`]).
     pub fn get(&self) -> Option<Arc<T>> {
         let ticket = &*self.0;
         let found = ticket.store.shelves().find(ticket.number);

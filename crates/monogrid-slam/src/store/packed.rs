@@ -15,7 +15,8 @@ pub trait Measured: Send + Sync + 'static {
     fn bytes(&self) -> usize;
 }
 
-/// A value that can be written and read again: often, since little is in memory, so that pixels are copied and not encoded.
+/// A value that can be written and read again: often, since little is in memory, so that pixels are
+/// copied and not encoded.
 pub trait Keepable: Measured + Sized {
     /// As bytes.
     fn pack(&self) -> Vec<u8>;

@@ -9,7 +9,8 @@ use std::io::{Error, ErrorKind, Read, Seek, SeekFrom, Write};
 pub(super) struct Scratch {
     file: File,
     end: u64,
-    /// Length of each piece that is free, by its place. No two of them touch, and none touches the end.
+    /// Length of each piece that is free, by its place. No two of them touch, and none touches the
+    /// end.
     free: BTreeMap<u64, u64>,
 }
 

@@ -1,8 +1,9 @@
 //! Whether the pose of a frame is to be doubted although nothing about the frame alone says so.
 //!
-//! Where little but a plain wall is in view, turning and moving sideways look alike: the camera slides, what comes into view gets
-//! its depth from wrong poses, and frames agree less and less with keyframes that were made of them, each by itself well enough to
-//! be believed. Before they disagree, the little that is in view holds the pose less than is usual.
+//! Where little but a plain wall is in view, turning and moving sideways look alike: the camera
+//! slides, what comes into view gets its depth from wrong poses, and frames agree less and less
+//! with keyframes that were made of them, each by itself well enough to be believed. Before they
+//! disagree, the little that is in view holds the pose less than is usual.
 
 use crate::median::median;
 use crate::policy::{Hold, doubt_about};

@@ -1,4 +1,5 @@
-//! Change of the keyframe: when a frame takes over, what is published of the one that is left, and the new one.
+//! Change of the keyframe: when a frame takes over, what is published of the one that is left, and
+//! the new one.
 
 use super::outcome::Attempt;
 use crate::depth_step::tracking_samples;
@@ -218,8 +219,8 @@ pub(super) fn first_keyframe(
     }
 }
 
-/// Whether depth has become so much better that everybody should use it: a keyframe that is used again and
-/// again would otherwise be published without end.
+/// Whether depth has become so much better that everybody should use it: a keyframe that is used
+/// again and again would otherwise be published without end.
 fn is_worth_a_revision(known: &[DepthPixel], better: &[DepthPixel]) -> bool {
     const MORE_PIXELS: f64 = 1.05;
     const LESS_VARIANCE: f64 = 0.9;

@@ -1,10 +1,11 @@
 //! Motion of the camera without corrections of the map.
 //!
-//! Two transforms, as robots keep them apart (REP 105): `odom_from_camera` adds up what was tracked from
-//! frame to frame and never jumps; `map_from_odom` takes what loops, optimisation and relocalisation
-//! correct ([`crate::FrameReport::map_from_odom`]).
+//! Two transforms, as robots keep them apart (REP 105): `odom_from_camera` adds up what was tracked
+//! from frame to frame and never jumps; `map_from_odom` takes what loops, optimisation and
+//! relocalisation correct ([`crate::FrameReport::map_from_odom`]).
 //!
-//! A step has the length that the unit of its keyframe says at the time, since a single camera has no other.
+//! A step has the length that the unit of its keyframe says at the time, since a single camera has
+//! no other.
 
 use crate::FrameReport;
 use crate::map::{Map, Record};
@@ -19,7 +20,8 @@ pub(super) struct Odometry {
 }
 
 impl Odometry {
-    /// Adds the motion since the last frame with a pose; where odometry is then. `None` for a frame without one.
+    /// Adds the motion since the last frame with a pose; where odometry is then. `None` for a frame
+    /// without one.
     pub(super) fn step(&mut self, map: &Map, report: &FrameReport) -> Option<Se3> {
         let world_from_camera = report.world_from_camera?;
         let tracked = map.last_record().copied();

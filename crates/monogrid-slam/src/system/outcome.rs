@@ -24,7 +24,8 @@ pub(super) struct KeyframeChange {
 }
 
 impl FrameReport {
-    /// What tracking on the keyframe in use says of a frame, believed or not; lost without such a keyframe.
+    /// What tracking on the keyframe in use says of a frame, believed or not; lost without such a
+    /// keyframe.
     pub(super) fn of(frame: &Frame, attempt: Option<&Attempt>) -> Self {
         let mut report = Self::new(frame.index, frame.timestamp_ns, TrackingState::Lost);
         if let Some(attempt) = attempt {

@@ -1,8 +1,10 @@
 //! A map is kept at the end of a run, and a later run goes on with it.
 //!
-//! Depth is filtered anew from what was published, and places are learned from the images. Frames are lost until one is recognised;
-//! from then on all is as after any loss, and a camera that begins elsewhere starts a fragment. Keyframes without constraints (the
-//! earlier run was killed) are held where they are. Where the map must not change (`is_frozen`), no keyframe is made, refined or moved.
+//! Depth is filtered anew from what was published, and places are learned from the images. Frames
+//! are lost until one is recognised; from then on all is as after any loss, and a camera that
+//! begins elsewhere starts a fragment. Keyframes without constraints (the earlier run was killed)
+//! are held where they are. Where the map must not change (`is_frozen`), no keyframe is made,
+//! refined or moved.
 
 use super::depth::published_depth;
 use crate::depth_step::tracking_samples;

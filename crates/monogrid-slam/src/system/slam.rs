@@ -35,7 +35,8 @@ pub struct Slam {
     pub(super) setup: Setup,
     /// Until there is a first keyframe.
     pub(super) start: Option<Start>,
-    /// Frames after the first keyframe of a map or fragment that has just begun, which waited for it.
+    /// Frames after the first keyframe of a map or fragment that has just begun, which waited for
+    /// it.
     pub(super) waiting: Vec<BufferedFrame>,
     pub(super) map: Map,
     pub(super) tracker: Tracker,
@@ -57,7 +58,8 @@ pub struct Slam {
 pub struct KeyframeRoom(Store);
 
 impl KeyframeRoom {
-    /// From now on keyframes have so much room instead of what the settings say, bytes. No result depends on it.
+    /// From now on keyframes have so much room instead of what the settings say, bytes. No result
+    /// depends on it.
     pub fn give(&self, bytes: usize) {
         const OWN_SHARE: f64 = 0.75;
         let megabytes = bytes as f64 * 1e-6;
@@ -67,7 +69,8 @@ impl KeyframeRoom {
         });
     }
 
-    /// What images, depth and corners of keyframes, and what was made of them, take in memory now, bytes.
+    /// What images, depth and corners of keyframes, and what was made of them, take in memory now,
+    /// bytes.
     #[must_use]
     pub fn bytes_in_memory(&self) -> usize {
         let bytes = self.0.bytes();
@@ -128,16 +131,17 @@ impl Slam {
         Ok(Self::with_map(setup, restored, graph))
     }
 
-    /// The same with the readings of an inertial sensor beside the camera, on the clock of the frames: they say how the camera turns
-    /// from frame to frame.
+    /// The same with the readings of an inertial sensor beside the camera, on the clock of the
+    /// frames: they say how the camera turns from frame to frame.
     #[must_use]
     pub fn with_imu(mut self, imu: Arc<Imu>) -> Self {
         self.setup.imu = Some(imu);
         self
     }
 
-    /// Adds readings of that sensor as they come, before the frames that are later than they are; without a sensor
-    /// ([`Self::with_imu`]) nothing is done. Those of the last half an hour are kept.
+    /// Adds readings of that sensor as they come, before the frames that are later than they are;
+    /// without a sensor ([`Self::with_imu`]) nothing is done. Those of the last half an hour are
+    /// kept.
     pub fn add_readings(&mut self, readings: &[ImuSample]) {
         /// Readings of a fast sensor over this time take some twenty megabytes, ns.
         const KEPT_NS: i64 = 30 * 60 * 1_000_000_000;
@@ -151,7 +155,8 @@ impl Slam {
         }
     }
 
-    /// The path of the main map as it is now beside the readings of the inertial sensor; `None` without a sensor.
+    /// The path of the main map as it is now beside the readings of the inertial sensor; `None`
+    /// without a sensor.
     #[must_use]
     pub fn inertial_path(&self) -> Option<InertialPath> {
         let imu = Arc::clone(self.setup.imu.as_ref()?);
@@ -165,8 +170,9 @@ impl Slam {
         ))
     }
 
-    /// What the calibration has left of the radial distortion of the lens in the images: a ray at `x` from the axis, in focal lengths, is
-    /// seen at `x (1 + radial |x|^2)`. The keyframes are adjusted by it after the last frame.
+    /// What the calibration has left of the radial distortion of the lens in the images: a ray at
+    /// `x` from the axis, in focal lengths, is seen at `x (1 + radial |x|^2)`. The keyframes are
+    /// adjusted by it after the last frame.
     pub fn take_left_radial(&mut self, radial: f64) {
         self.setup.left_radial = radial;
     }
@@ -211,8 +217,9 @@ impl Slam {
         self.map.num_published()
     }
 
-    /// Lets images and depth of keyframes for which there is no room in memory ([`crate::MemoryConfig`]) lie in a file, which nobody
-    /// else may use; without one all of them stay in memory. Its bytes mean nothing to anybody else.
+    /// Lets images and depth of keyframes for which there is no room in memory
+    /// ([`crate::MemoryConfig`]) lie in a file, which nobody else may use; without one all of them
+    /// stay in memory. Its bytes mean nothing to anybody else.
     pub fn spill_into(&self, file: File) {
         self.map.store().spill_into(file);
     }
@@ -268,15 +275,17 @@ impl Slam {
         self.map.fragments()
     }
 
-    /// The fragment that is the main map since [`Slam::finish`], under the name that it had before: it was much larger than the first
-    /// map, which has that name now. `None` while the first map is the main map.
+    /// The fragment that is the main map since [`Slam::finish`], under the name that it had before:
+    /// it was much larger than the first map, which has that name now. `None` while the first map
+    /// is the main map.
     #[must_use]
     pub fn exchanged(&self) -> Option<FragmentId> {
         self.map.exchanged()
     }
 
-    /// Of each keyframe, by identity, the oldest one that points or direct alignments hold together with it, perhaps over others: within
-    /// such a part places are known well. Two parts know of each other only by tracked motion, or across a loss.
+    /// Of each keyframe, by identity, the oldest one that points or direct alignments hold together
+    /// with it, perhaps over others: within such a part places are known well. Two parts know of
+    /// each other only by tracked motion, or across a loss.
     #[must_use]
     pub fn parts(&self) -> Vec<KeyframeId> {
         parts(self.map.keyframes().len(), self.map.edges())
@@ -288,10 +297,11 @@ impl Slam {
         self.map.bridges()
     }
 
-    /// All frames with a believed pose in the main map, with everything known now, in the order of time.
+    /// All frames with a believed pose in the main map, with everything known now, in the order of
+    /// time.
     ///
-    /// Frames are known relative to their keyframe. Where the keyframe after it says something else about
-    /// the last of them, the difference is spread over the frames of the visit.
+    /// Frames are known relative to their keyframe. Where the keyframe after it says something else
+    /// about the last of them, the difference is spread over the frames of the visit.
     #[must_use]
     pub fn trajectory(&self) -> Vec<TrajectoryPose> {
         self.trajectory_in(MAIN_MAP)
@@ -370,8 +380,8 @@ impl Slam {
         &self.setup.pinhole
     }
 
-    /// The graph of the main map's keyframes with the newest poses; with chain edges alone when there is no
-    /// graph.
+    /// The graph of the main map's keyframes with the newest poses; with chain edges alone when
+    /// there is no graph.
     #[must_use]
     pub fn pose_graph(&self) -> PoseGraph {
         let mut graph = PoseGraph::new();

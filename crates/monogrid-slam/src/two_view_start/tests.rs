@@ -12,7 +12,8 @@ fn setup(config: SlamConfig, (width, height): (usize, usize)) -> Setup {
     Setup::new(config, pinhole, Mask::filled(width, height, 255), 0)
 }
 
-/// Shows images to a start that buffers so many frames and is never satisfied; its state after each.
+/// Shows images to a start that buffers so many frames and is never satisfied; its state after
+/// each.
 fn states(images: &[GrayImage], max_buffered_frames: usize) -> Vec<State> {
     let mut config = SlamConfig::default();
     config.initialization.max_buffered_frames = max_buffered_frames;

@@ -1,9 +1,9 @@
 //! The file of a vocabulary.
 //!
-//! Little endian: magic `MGVOCAB\0`, version `u32`, pattern of the descriptors `u64`, number of words
-//! `u32`, number of samples `u32`; per word its 256 bits (four `u64`), its parent (`u32`, `u32::MAX` at the
-//! root) and three probabilities (`f32`); per sample the number of words (`u32`) and the words (`u16`,
-//! ascending); CRC-32 of all that (`u32`).
+//! Little endian: magic `MGVOCAB\0`, version `u32`, pattern of the descriptors `u64`, number of
+//! words `u32`, number of samples `u32`; per word its 256 bits (four `u64`), its parent (`u32`,
+//! `u32::MAX` at the root) and three probabilities (`f32`); per sample the number of words (`u32`)
+//! and the words (`u16`, ascending); CRC-32 of all that (`u32`).
 
 use super::PlaceVocabulary;
 use super::tree::Node;

@@ -41,8 +41,8 @@ impl Detector {
     }
 }
 
-/// `ln p(z_q | z_p, L)` for the three beliefs about a thing: not seen in the place, seen in it, and not
-/// known at all.
+/// `ln p(z_q | z_p, L)` for the three beliefs about a thing: not seen in the place, seen in it, and
+/// not known at all.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct WordTable {
     /// `[belief][z_p][z_q]`

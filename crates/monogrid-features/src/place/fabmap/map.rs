@@ -9,15 +9,15 @@ use std::sync::Arc;
 /// Settings of [`FabMap`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct FabMapConfig {
-    /// `p(z = 1 | e = 1)`, the probability that a thing that exists is seen as its word. Default 0.39, as
-    /// LSD-SLAM uses FAB-MAP.
+    /// `p(z = 1 | e = 1)`, the probability that a thing that exists is seen as its word. Default
+    /// 0.39, as LSD-SLAM uses FAB-MAP.
     pub p_seen: f64,
     /// `p(z = 1 | e = 0)`, the probability of a word without its thing. Default 0.01.
     pub p_phantom: f64,
     /// Probability before the image that it shows a place never seen. Default 0.9.
     pub p_new: f64,
-    /// Whether the place never seen is the mean of all places instead of a sample of the images that the
-    /// vocabulary was trained on. Default false.
+    /// Whether the place never seen is the mean of all places instead of a sample of the images
+    /// that the vocabulary was trained on. Default false.
     pub is_mean_field: bool,
     /// Smallest logarithm of how many times more probable a candidate is than a place never seen.
     /// Default 0.
@@ -50,7 +50,8 @@ pub struct PlaceBelief {
     pub ln_ratio: f64,
 }
 
-/// The posterior: a probability for each place asked for, and one for a place never seen; together one.
+/// The posterior: a probability for each place asked for, and one for a place never seen; together
+/// one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlaceBeliefs {
     /// The most probable first.
@@ -96,8 +97,8 @@ impl FabMap {
         self.places.len()
     }
 
-    /// Adds a place with the descriptors of one image; returns whether it was new (a known one stays as
-    /// it is).
+    /// Adds a place with the descriptors of one image; returns whether it was new (a known one
+    /// stays as it is).
     pub fn add(&mut self, place: u64, descriptors: &[Descriptor]) -> bool {
         if self.places.contains_key(&place) {
             return false;

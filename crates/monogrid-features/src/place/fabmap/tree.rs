@@ -45,8 +45,8 @@ impl Occurrences {
         self.information(self.count(a), self.count(b), self.count_both(a, b))
     }
 
-    /// Mutual information of two words, nats, `sum p(a,b) ln(p(a,b) / (p(a) p(b)))`, from the number of
-    /// images with `a`, with `b`, and with both.
+    /// Mutual information of two words, nats, `sum p(a,b) ln(p(a,b) / (p(a) p(b)))`, from the
+    /// number of images with `a`, with `b`, and with both.
     fn information(&self, num_a: usize, num_b: usize, num_both: usize) -> f64 {
         let n = self.num_images as f64;
         let term = |joint: usize, of_a: usize, of_b: usize| {
@@ -107,8 +107,8 @@ pub(super) fn chow_liu(occurrences: &Occurrences) -> Vec<Node> {
         .collect()
 }
 
-/// Parent of each word in the spanning tree with the largest sum of mutual information (Prim, from word 0;
-/// the smallest indices on ties).
+/// Parent of each word in the spanning tree with the largest sum of mutual information (Prim, from
+/// word 0; the smallest indices on ties).
 pub(super) fn maximum_spanning_tree(occurrences: &Occurrences) -> Vec<Option<usize>> {
     let num_words = occurrences.bits.len();
     let counts: Vec<usize> = (0..num_words).map(|w| occurrences.count(w)).collect();

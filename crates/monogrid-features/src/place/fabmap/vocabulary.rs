@@ -84,8 +84,8 @@ pub struct PlaceVocabulary {
 }
 
 impl PlaceVocabulary {
-    /// Learns words, tree and samples from the descriptors of images, which should show many places and
-    /// each of them few times. Deterministic; `progress` hears how far it is.
+    /// Learns words, tree and samples from the descriptors of images, which should show many places
+    /// and each of them few times. Deterministic; `progress` hears how far it is.
     ///
     /// # Errors
     /// With fewer than ten images that have descriptors, or an impossible number of words.

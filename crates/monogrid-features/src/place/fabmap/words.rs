@@ -8,8 +8,8 @@ pub(super) fn nearest(words: &[Descriptor], descriptor: &Descriptor) -> Option<(
     distances.enumerate().min_by_key(|(_, distance)| *distance)
 }
 
-/// Median of binary descriptors: each bit as most of them have it (of equally many, zero), which is the
-/// point with the least sum of Hamming distances.
+/// Median of binary descriptors: each bit as most of them have it (of equally many, zero), which is
+/// the point with the least sum of Hamming distances.
 pub(super) fn majority<'a>(descriptors: impl IntoIterator<Item = &'a Descriptor>) -> Descriptor {
     let mut counts = [0i64; 256];
     for descriptor in descriptors {
@@ -25,8 +25,9 @@ pub(super) fn majority<'a>(descriptors: impl IntoIterator<Item = &'a Descriptor>
     median
 }
 
-/// Seeds of the clusters: each next descriptor is drawn in proportion to its squared distance to the
-/// nearest seed (Arthur and Vassilvitskii, k-means++, 2007). Fewer when there are fewer different ones.
+/// Seeds of the clusters: each next descriptor is drawn in proportion to its squared distance to
+/// the nearest seed (Arthur and Vassilvitskii, k-means++, 2007). Fewer when there are fewer
+/// different ones.
 fn seeds(descriptors: &[Descriptor], count: usize, rng: &mut Rng) -> Vec<Descriptor> {
     if descriptors.is_empty() || count == 0 {
         return Vec::new();
@@ -54,8 +55,8 @@ fn seeds(descriptors: &[Descriptor], count: usize, rng: &mut Rng) -> Vec<Descrip
     seeds
 }
 
-/// At most `count` words for the descriptors: Lloyd's iterations with medians, until nothing moves or
-/// `max_iterations`. `done` hears the number of finished iterations.
+/// At most `count` words for the descriptors: Lloyd's iterations with medians, until nothing moves
+/// or `max_iterations`. `done` hears the number of finished iterations.
 pub(super) fn k_majority(
     descriptors: &[Descriptor],
     count: usize,

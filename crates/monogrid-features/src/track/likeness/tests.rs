@@ -21,7 +21,8 @@ fn likeness() -> Likeness {
     Likeness::new(&reference, &ANCHOR, &Matrix2::identity()).unwrap()
 }
 
-/// The cost itself, written out: least squares for gain and bias by their normal equations, the kernel by its cases.
+/// The cost itself, written out: least squares for gain and bias by their normal equations, the
+/// kernel by its cases.
 fn plain_cost(image: &GrayImage, pixel: &Vec2, config: &LikenessConfig) -> f64 {
     let patch = |image: &GrayImage, at: &Vec2| -> Vec<f64> {
         let offset = |k: usize| Vec2::new((k % SIDE) as f64 - 3.5, (k / SIDE) as f64 - 3.5);
@@ -88,7 +89,8 @@ fn the_cost_is_that_of_gain_bias_and_noise_at_their_best() {
 
 #[test]
 fn the_gradient_is_that_of_the_cost() {
-    // of an image whose gradient does not change between pixels, so that differences of pixels are its derivative
+    // of an image whose gradient does not change between pixels, so that differences of pixels are
+    // its derivative
     let smooth = |x: f64, y: f64| 100.0 + 3.0 * x - 2.0 * y + 0.09 * (x - 15.0) * (y - 11.0);
     let current = GrayImage::from_fn(SIZE, SIZE, |x, y| smooth(x as f64, y as f64) as f32);
     for config in [

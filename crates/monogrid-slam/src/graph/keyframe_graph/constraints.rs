@@ -12,8 +12,8 @@ pub(super) struct Constraints {
     edges: BTreeMap<EdgeKey, GraphEdge>,
     /// The newer and the older keyframe of each edge, and its kind.
     from_newer: BTreeSet<EdgeKey>,
-    /// Edges that no optimisation has seen. The others decide by how well they fit, and only what is new makes
-    /// an optimisation look far away.
+    /// Edges that no optimisation has seen. The others decide by how well they fit, and only what
+    /// is new makes an optimisation look far away.
     new: BTreeSet<EdgeKey>,
     /// Edges of which nobody has heard since they were set or removed.
     unsaid: BTreeSet<EdgeKey>,

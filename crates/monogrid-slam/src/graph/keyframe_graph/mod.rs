@@ -43,8 +43,8 @@ pub(crate) struct KeyframeGraph {
     /// What belongs to the picture; everything where there is none.
     mask: Option<Mask>,
     entries: BTreeMap<KeyframeId, Entry>,
-    /// The keyframes as the job under way moves them. Each fragment has its own world, held by its first
-    /// keyframe, and is optimised alone.
+    /// The keyframes as the job under way moves them. Each fragment has its own world, held by its
+    /// first keyframe, and is optimised alone.
     poses: PoseSnapshot,
     /// Fragments that the job under way has to do with.
     active: BTreeSet<FragmentId>,
@@ -64,8 +64,9 @@ pub(crate) struct KeyframeGraph {
 }
 
 impl KeyframeGraph {
-    /// A graph without keyframes, in which frames with this camera are looked for. Of their images and those of keyframes `mask` says
-    /// what belongs to the picture; without one keyframes may have cameras of their own.
+    /// A graph without keyframes, in which frames with this camera are looked for. Of their images
+    /// and those of keyframes `mask` says what belongs to the picture; without one keyframes may
+    /// have cameras of their own.
     ///
     /// # Errors
     /// A vocabulary that cannot be used.
@@ -133,7 +134,8 @@ impl KeyframeGraph {
         self.pose(i).inverse() * self.pose(j)
     }
 
-    /// The graph as an earlier session left it. Keyframes without a constraint are held where they are.
+    /// The graph as an earlier session left it. Keyframes without a constraint are held where they
+    /// are.
     pub(crate) fn restore(&mut self, restored: RestoredGraph) {
         self.poses = PoseSnapshot::clone(&restored.poses);
         for StoredEdge { kind, edge } in restored.edges {
@@ -204,7 +206,8 @@ impl KeyframeGraph {
         }
     }
 
-    /// Edges that tracking and the sparse layer have measured; whether the poses are to be optimised.
+    /// Edges that tracking and the sparse layer have measured; whether the poses are to be
+    /// optimised.
     fn take_measured(&mut self, job: &GraphJob) -> bool {
         if let Link::Odometry(odometry) = &job.link {
             self.add_odometry(odometry);
@@ -216,8 +219,8 @@ impl KeyframeGraph {
         job.is_final || is_moved || !job.shared_points.is_empty()
     }
 
-    /// Takes a finished keyframe; a new one is constrained to those around it and to places that it shows again.
-    /// Whether it is new.
+    /// Takes a finished keyframe; a new one is constrained to those around it and to places that it
+    /// shows again. Whether it is new.
     fn take_keyframe(&mut self, view: Arc<View>) -> bool {
         let id = view.id;
         self.prepared.retain(|(prepared, _)| *prepared != id);
@@ -225,7 +228,8 @@ impl KeyframeGraph {
         if is_new {
             self.search(id);
             if self.search_loops(id) {
-                // With the loop closed other keyframes of the place are where they can be predicted.
+                // With the loop closed other keyframes of the place are where they can be
+                // predicted.
                 self.optimise(Search::Wide);
                 self.search(id);
             }

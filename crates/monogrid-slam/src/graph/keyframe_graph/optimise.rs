@@ -1,7 +1,8 @@
 //! Moving the poses to the optimum, and their covariances.
 //!
-//! While the run goes on an optimisation moves a part of a fragment: what is new, and the keyframes around it.
-//! The others hold it where they are. Time per keyframe so does not grow with the number of all keyframes.
+//! While the run goes on an optimisation moves a part of a fragment: what is new, and the keyframes
+//! around it. The others hold it where they are. Time per keyframe so does not grow with the number
+//! of all keyframes.
 
 use super::KeyframeGraph;
 use crate::graph::job::EdgeKey;
@@ -10,11 +11,13 @@ use monogrid_graph::pose_graph::{GraphNode, PoseGraph, PoseGraphConfig, PoseGrap
 use std::collections::{BTreeSet, VecDeque};
 use std::time::Instant;
 
-/// Newest keyframes of a fragment that every window holds. Their covariances follow the graph while it grows.
+/// Newest keyframes of a fragment that every window holds. Their covariances follow the graph while
+/// it grows.
 pub(super) const NEWEST: usize = 12;
 
-/// By how much the cost may fall at most (half of a squared normalised residual) if one of the keyframes around the
-/// window moved: beyond it the change must spread. Together they may give way by much more than each alone.
+/// By how much the cost may fall at most (half of a squared normalised residual) if one of the
+/// keyframes around the window moved: beyond it the change must spread. Together they may give way
+/// by much more than each alone.
 const MAX_STRAIN: f64 = 0.001;
 
 /// Keyframes of a fragment that may move, and what holds them.
@@ -71,8 +74,8 @@ impl KeyframeGraph {
         Ok(())
     }
 
-    /// Moves the keyframes around what is new; as long as that strains others, twice as many. The number of edges
-    /// in question that are switched off.
+    /// Moves the keyframes around what is new; as long as that strains others, twice as many. The
+    /// number of edges in question that are switched off.
     fn optimise_around_changes(&mut self, fragment: FragmentId) -> Result<usize, PoseGraphError> {
         let mut changed = self.changed(fragment);
         let mut size = self.config.window;
@@ -91,8 +94,8 @@ impl KeyframeGraph {
         }
     }
 
-    /// Moves the keyframes of a window, or of a whole fragment. The graph afterwards, and how many of its edges are
-    /// switched off.
+    /// Moves the keyframes of a window, or of a whole fragment. The graph afterwards, and how many
+    /// of its edges are switched off.
     fn move_poses(
         &mut self,
         fragment: FragmentId,
@@ -117,8 +120,8 @@ impl KeyframeGraph {
         Ok((graph, switched_off))
     }
 
-    /// Covariances of keyframes relative to their parents, of the newest, or of all: what the graph says
-    /// about two neighbours hardly changes when others join.
+    /// Covariances of keyframes relative to their parents, of the newest, or of all: what the graph
+    /// says about two neighbours hardly changes when others join.
     pub(super) fn update_covariances(&mut self, all: bool) {
         let num = self.poses.world_from_keyframe.len();
         let mut covariances = std::mem::take(&mut self.poses.previous_from_keyframe_covariance);
@@ -153,8 +156,8 @@ impl KeyframeGraph {
         inside.map(|(id, _)| id as KeyframeId)
     }
 
-    /// The graph of a fragment, whose first keyframe holds its world, or of a window of it: all edges of the
-    /// keyframes that move and of those around them.
+    /// The graph of a fragment, whose first keyframe holds its world, or of a window of it: all
+    /// edges of the keyframes that move and of those around them.
     ///
     /// # Errors
     /// A pose that is not finite.
@@ -211,8 +214,8 @@ impl KeyframeGraph {
         (ids.into_iter().collect(), keys.into_iter().collect())
     }
 
-    /// About `size` keyframes of a fragment: the newest, `changed`, and those with the fewest edges between them and
-    /// these. `None` where that is the whole fragment.
+    /// About `size` keyframes of a fragment: the newest, `changed`, and those with the fewest edges
+    /// between them and these. `None` where that is the whole fragment.
     fn window(
         &self,
         fragment: FragmentId,
@@ -256,7 +259,8 @@ impl KeyframeGraph {
         inside.flat_map(|key| [key.0, key.1]).collect()
     }
 
-    /// Keyframes around a window that it pulls or pushes, but for the first of the fragment, which never moves.
+    /// Keyframes around a window that it pulls or pushes, but for the first of the fragment, which
+    /// never moves.
     fn strained(&self, window: &Window, graph: &PoseGraph, first: KeyframeId) -> Vec<KeyframeId> {
         let strains = graph.nodes().iter().zip(graph.strains());
         strains

@@ -7,7 +7,8 @@ use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3, Vec7};
 use monogrid_graph::bundle::BundleError;
 use monogrid_image::GrayImage;
 
-/// Keyframes in this many fragments, one after the other, three points in each, which the next one sees.
+/// Keyframes in this many fragments, one after the other, three points in each, which the next one
+/// sees.
 fn map_with(fragments: &[FragmentId]) -> Map {
     let mut map = Map::default();
     for (id, fragment) in (0..).zip(fragments) {

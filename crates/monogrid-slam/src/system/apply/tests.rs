@@ -4,8 +4,8 @@ use crate::{FrameInput, MAIN_MAP, SlamConfig};
 use monogrid_image::Mask;
 use monogrid_worlds::SynthSequence;
 
-/// Frames of the clip, which is the beginning of the built-in sequence played backwards, and how many of the sequence
-/// make one: the camera moves by almost half of the depth of the scene.
+/// Frames of the clip, which is the beginning of the built-in sequence played backwards, and how
+/// many of the sequence make one: the camera moves by almost half of the depth of the scene.
 const FRAMES: usize = 30;
 const STEP: usize = 4;
 
@@ -14,7 +14,8 @@ const fn shown(k: usize) -> usize {
     STEP * (FRAMES - 1 - k)
 }
 
-/// A system that starts at the last frame of a clip, from its true depth, with all others before it.
+/// A system that starts at the last frame of a clip, from its true depth, with all others before
+/// it.
 fn started_at_the_end(sequence: &SynthSequence, config: SlamConfig) -> Slam {
     let camera = sequence.camera();
     let mask = Mask::filled(camera.width, camera.height, 255);

@@ -105,7 +105,8 @@ fn points_have_the_last_word_and_those_found_a_pixel_beside_little_to_say() {
     adjust_whole(&slam.setup, &mut slam.map, MAIN_MAP);
     let before = positions(&slam);
     let moved_m = largest_move(&finished, &before);
-    // one more round refutes a point and finds some again: 0.20 mm; where edges of direct alignment come last it is 0.51 mm
+    // one more round refutes a point and finds some again: 0.20 mm; where edges of direct alignment
+    // come last it is 0.51 mm
     assert!(moved_m < 3e-4, "{moved_m}");
 
     let beside = wrong_observations(&slam);
@@ -137,7 +138,8 @@ fn points_have_the_last_word_and_those_found_a_pixel_beside_little_to_say() {
     );
 }
 
-/// Of every sixth point, how the keyframes that see it would see it a pixel to the right: less than what is refuted.
+/// Of every sixth point, how the keyframes that see it would see it a pixel to the right: less than
+/// what is refuted.
 fn wrong_observations(slam: &Slam) -> Vec<(usize, Observation)> {
     let points = slam.map.points().iter().enumerate().step_by(6);
     points

@@ -72,7 +72,8 @@ fn fragment_from_world() -> Sim3 {
     ]))
 }
 
-/// Eight keyframes of a room as two fragments of four, the second changed by `change` and in a world of its own; the true poses.
+/// Eight keyframes of a room as two fragments of four, the second changed by `change` and in a
+/// world of its own; the true poses.
 fn two_fragments(change: fn(&View) -> View) -> (KeyframeGraph, Vec<Sim3>) {
     let (views, truth) = keyframes(small_demo(), 8, 8);
     let views = views.iter().map(|view| match view.id {
@@ -129,7 +130,8 @@ fn a_fragment_that_shows_another_room_stays_as_it_is() {
     assert!(after.0 < 0.02 && after.1 < 0.02, "{after:?}");
 }
 
-/// What two fragments have in common where keyframes of the first and of the second, in pairs, say that the second is off by so much.
+/// What two fragments have in common where keyframes of the first and of the second, in pairs, say
+/// that the second is off by so much.
 fn met(pairs: &[(KeyframeId, KeyframeId, f64)]) -> Consistent {
     let (mut graph, truth) = two_fragments(View::clone);
     graph.sightings = pairs
