@@ -4,7 +4,7 @@
 //! depth, for maps by other rules.
 
 use crate::planes::fill_plain_regions;
-use crate::scene::{Depths, KeyframeScan, measurement};
+use crate::scene::{DepthImage, Depths, KeyframeScan, measurement};
 use crate::{DepthFilterConfig, KeyframeCamera, MappingConfig};
 use monogrid_geometry::Pinhole;
 use monogrid_image::{GrayImage, Image};
@@ -81,11 +81,13 @@ fn measured(
     if (id as usize) < config.skip_keyframes {
         return Vec::new();
     }
-    let support = (config.min_support > 1).then(|| Support::new(pixels, camera));
-    let is_supported = |pixel| {
-        support
-            .as_ref()
-            .is_none_or(|s: &Support| s.of(pixel) >= config.min_support)
+    let mut image = DepthImage::new(camera);
+    for pixel in pixels {
+        let depth = [pixel.idepth, pixel.idepth_var];
+        image.set(pixel.x.into(), pixel.y.into(), depth);
+    }
+    let is_supported = |pixel: &DepthPixel| {
+        config.min_support <= 1 || support(&image, pixel) >= config.min_support
     };
     pixels
         .iter()
@@ -109,41 +111,13 @@ fn is_precise(pixel: &DepthPixel, config: &DepthFilterConfig) -> bool {
         && variance.sqrt() <= config.max_relative_sigma * idepth
 }
 
-/// How many of their neighbours measurements agree with.
-struct Support<'a> {
-    /// Index into `pixels` plus 1 of each image pixel; 0 for none.
-    index: Image<u32>,
-    pixels: &'a [DepthPixel],
-}
-
-impl<'a> Support<'a> {
-    fn new(pixels: &'a [DepthPixel], camera: &KeyframeCamera) -> Self {
-        let mut index = Image::filled(camera.width, camera.height, 0);
-        for (i, pixel) in pixels.iter().enumerate() {
-            let (x, y) = (usize::from(pixel.x), usize::from(pixel.y));
-            if x < camera.width && y < camera.height {
-                index.set(x, y, i as u32 + 1);
-            }
-        }
-        Self { index, pixels }
-    }
-
-    /// How many of the 3x3 pixels around agree within two standard deviations.
-    fn of(&self, pixel: &DepthPixel) -> usize {
-        let (x, y) = (usize::from(pixel.x), usize::from(pixel.y));
-        let mut count = 0;
-        for ny in y.saturating_sub(1)..(y + 2).min(self.index.height()) {
-            for nx in x.saturating_sub(1)..(x + 2).min(self.index.width()) {
-                let Some(i) = self.index.at(nx, ny).checked_sub(1) else {
-                    continue;
-                };
-                let other = &self.pixels[i as usize];
-                let gap = pixel.idepth - other.idepth;
-                count += usize::from(gap * gap <= 4.0 * (pixel.idepth_var + other.idepth_var));
-            }
-        }
-        count
-    }
+/// How many of the 3x3 pixels around one agree with it within two standard deviations.
+fn support(image: &DepthImage, pixel: &DepthPixel) -> usize {
+    let agrees = |(_, _, [idepth, variance]): &(usize, usize, [f32; 2])| {
+        (pixel.idepth - idepth).powi(2) <= 4.0 * (pixel.idepth_var + variance)
+    };
+    let around = image.around(pixel.x.into(), pixel.y.into());
+    around.filter(agrees).count()
 }
 
 #[cfg(test)]

@@ -6,11 +6,7 @@
 //! the truth. How much better, images tell that do not fit across epipolar lines, where no depth hides it: [`shared_errors`]. Measured depth
 //! has one factor for the whole map, and filled depth has one.
 
-use crate::KeyframeCamera;
-use crate::scene::Scene;
-use crate::scene::View;
-use crate::scene::for_each_keyframe;
-use crate::scene::{Depths, KeptDepths};
+use crate::scene::{DepthImage, Depths, KeptDepths, Scene, View, for_each_keyframe};
 use monogrid_geometry::median::median;
 use monogrid_occupancy::DepthPixel as Measurement;
 use std::sync::Arc;
@@ -164,8 +160,11 @@ fn differences_from(scene: &Scene, other: usize, mine: &[Option<Compared>]) -> [
     let Some(witness) = &scene.views[other] else {
         return differences;
     };
-    let theirs = witness.depths.kinds();
-    let theirs = theirs.map(|kind| Rows::new(kind, scene.camera));
+    let theirs = witness.depths.kinds().map(|kind| {
+        let mut image = DepthImage::new(scene.camera);
+        image.show(kind.iter().copied());
+        image
+    });
     let views = scene.views.iter().flatten().zip(mine.iter().flatten());
     for (this, mine) in views.filter(|(_, mine)| mine.witnesses.contains(&other)) {
         let other_from_this = this.transfer_to(witness, scene.camera);
@@ -173,47 +172,25 @@ fn differences_from(scene: &Scene, other: usize, mine: &[Option<Compared>]) -> [
         for (differences, (mine, theirs)) in differences.iter_mut().zip(kinds) {
             differences.extend(mine.iter().filter_map(|pixel| {
                 let seen = other_from_this.of(pixel.x.into(), pixel.y.into(), pixel.idepth)?;
-                difference(pixel, seen.idepth, theirs.at(seen.pixel())?)
+                let (x, y) = seen.pixel();
+                difference(pixel, seen.idepth, theirs.at(x, y)?)
             }));
         }
     }
     differences
 }
 
-/// Row-major depths, and where each row begins.
-struct Rows {
-    pixels: Arc<Vec<Measurement>>,
-    starts: Vec<usize>,
-}
-
-impl Rows {
-    fn new(pixels: Arc<Vec<Measurement>>, camera: &KeyframeCamera) -> Self {
-        let start = |row: usize| pixels.partition_point(|pixel| usize::from(pixel.y) < row);
-        Self {
-            starts: (0..=camera.height).map(start).collect(),
-            pixels,
-        }
-    }
-
-    /// The depth at a pixel of the image.
-    fn at(&self, (x, y): (usize, usize)) -> Option<&Measurement> {
-        let row = &self.pixels[self.starts[y]..self.starts[y + 1]];
-        let found = row.binary_search_by_key(&x, |pixel| pixel.x.into());
-        found.ok().map(|index| &row[index])
-    }
-}
-
 /// Relative difference of two inverse depths in standard deviations; `None` for two surfaces.
-fn difference(pixel: &Measurement, expected: f32, other: &Measurement) -> Option<f32> {
-    let relative = (other.idepth / expected - 1.0).abs();
-    let sigma = (pixel.sigma_idepth / pixel.idepth).hypot(other.sigma_idepth / other.idepth);
+fn difference(pixel: &Measurement, expected: f32, [other, its_sigma]: [f32; 2]) -> Option<f32> {
+    let relative = (other / expected - 1.0).abs();
+    let sigma = (pixel.sigma_idepth / pixel.idepth).hypot(its_sigma);
     (relative < MAX_RELATIVE_DIFFERENCE && sigma > 0.0).then(|| relative / sigma)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{DepthFilterConfig, MappingConfig};
+    use crate::{DepthFilterConfig, KeyframeCamera, MappingConfig};
     use monogrid_geometry::{Pinhole, Rotation, Sim3, Vec3};
 
     const CAMERA: KeyframeCamera = KeyframeCamera {

@@ -5,12 +5,8 @@
 //! agree has less of the former. What a pixel says of a point that other keyframes look at, and
 //! none of them confirms, is most often wrong, and left out.
 
-use crate::KeyframeCamera;
 use crate::agreement::Certainty;
-use crate::scene::Scene;
-use crate::scene::{Depths, KeptDepths};
-use crate::scene::{Seen, Transfer};
-use monogrid_image::Image;
+use crate::scene::{DepthImage, Depths, Scene, Seen, Transfer};
 use monogrid_occupancy::DepthPixel as Measurement;
 
 /// Keyframes that must have a depth, its own among them, where others have any there; what fewer
@@ -32,12 +28,15 @@ pub(crate) fn fused(scene: &Scene, index: usize, depths: Depths, certainty: Cert
     let num_measured = depths.measured.len();
     let all = depths.measured.into_iter().chain(depths.filled);
     let mut means: Vec<Mean> = all.map(Mean::of).collect();
-    let mut grid = Grid::new(camera);
+    let mut image = DepthImage::new(camera);
     for (_, other) in scene.witnesses(index, config.max_witnesses) {
-        grid.fill(&other.depths, certainty);
+        let [measured, filled] = other.depths.kinds();
+        image.clear();
+        image.show(certainty.filled(&filled));
+        image.show(certainty.measured(&measured));
         let other_from_this = this.transfer_to(other, camera);
         for mean in &mut means {
-            mean.hear(&grid, &other_from_this);
+            mean.hear(&image, &other_from_this);
         }
     }
     let results = |means: &[Mean]| means.iter().filter_map(|m| m.result()).collect();
@@ -74,13 +73,13 @@ impl Mean {
     }
 
     /// Takes what a keyframe says of the point.
-    fn hear(&mut self, grid: &Grid, other_from_this: &Transfer) {
+    fn hear(&mut self, image: &DepthImage, other_from_this: &Transfer) {
         let Measurement { x, y, idepth, .. } = self.pixel;
         let Some(seen) = other_from_this.of(x.into(), y.into(), idepth) else {
             return;
         };
         let sigma = self.pixel.sigma_idepth / self.pixel.idepth;
-        match grid.confirming(&seen, sigma) {
+        match confirming(image, &seen, sigma) {
             Answer::Nothing => {}
             Answer::Other => self.is_looked_at = true,
             Answer::Same { ratio, sigma } => {
@@ -122,87 +121,53 @@ enum Answer {
     Same { ratio: f32, sigma: f32 },
 }
 
-/// The depths of a keyframe by their place in its image.
-struct Grid {
-    /// Inverse depth and its relative standard deviation; 0 where there is none.
-    pixels: Image<[f32; 2]>,
+/// The depth next to where a point is seen, of the 3x3 pixels around it, that agrees with it.
+fn confirming(image: &DepthImage, seen: &Seen, sigma: f32) -> Answer {
+    let (x, y) = seen.pixel();
+    // no other pixel is nearer than this one
+    if let Some(depth) = image.at(x, y)
+        && let Some(same) = agreeing(depth, seen.idepth, sigma)
+    {
+        return same;
+    }
+    let (right, below) = (seen.x - x as f32, seen.y - y as f32);
+    let mut answer = Answer::Nothing;
+    let mut nearest = f32::INFINITY;
+    for (column, row, depth) in image.around(x, y) {
+        let dx = column as f32 - x as f32 - right;
+        let dy = row as f32 - y as f32 - below;
+        let distance = dx * dx + dy * dy;
+        match agreeing(depth, seen.idepth, sigma) {
+            Some(same) if distance < nearest => {
+                nearest = distance;
+                answer = same;
+            }
+            None if matches!(answer, Answer::Nothing) => answer = Answer::Other,
+            _ => {}
+        }
+    }
+    answer
 }
 
-impl Grid {
-    /// Without depth.
-    fn new(camera: &KeyframeCamera) -> Self {
-        Self {
-            pixels: Image::filled(camera.width, camera.height, [0.0; 2]),
-        }
-    }
-
-    /// With the depth of one keyframe alone; measured depth wins where there are both.
-    fn fill(&mut self, depths: &KeptDepths, certainty: Certainty) {
-        self.pixels.as_mut_slice().fill([0.0; 2]);
-        let [measured, filled] = depths.kinds();
-        let filled = certainty.filled(&filled);
-        for pixel in filled.chain(certainty.measured(&measured)) {
-            let depth = [pixel.idepth, pixel.sigma_idepth / pixel.idepth];
-            self.pixels.set(pixel.x.into(), pixel.y.into(), depth);
-        }
-    }
-
-    /// The depth next to where a point is seen, of the 3x3 pixels around it, that agrees with it.
-    fn confirming(&self, seen: &Seen, sigma: f32) -> Answer {
-        let (x, y) = seen.pixel();
-        // no other pixel is nearer than this one
-        let middle = self.answer(x, y, seen.idepth, sigma);
-        if matches!(middle, Answer::Same { .. }) {
-            return middle;
-        }
-        let (right, below) = (seen.x - x as f32, seen.y - y as f32);
-        let mut answer = middle;
-        let mut nearest = f32::INFINITY;
-        for row in y.saturating_sub(1)..(y + 2).min(self.pixels.height()) {
-            for column in x.saturating_sub(1)..(x + 2).min(self.pixels.width()) {
-                let dx = column as f32 - x as f32 - right;
-                let dy = row as f32 - y as f32 - below;
-                let distance = dx * dx + dy * dy;
-                match self.answer(column, row, seen.idepth, sigma) {
-                    same @ Answer::Same { .. } if distance < nearest => {
-                        nearest = distance;
-                        answer = same;
-                    }
-                    Answer::Other if matches!(answer, Answer::Nothing) => answer = Answer::Other,
-                    _ => {}
-                }
-            }
-        }
-        answer
-    }
-
-    /// What one pixel says.
-    #[inline]
-    fn answer(&self, x: usize, y: usize, expected: f32, sigma: f32) -> Answer {
-        let [idepth, its_sigma] = self.pixels.at(x, y);
-        if idepth <= 0.0 {
-            return Answer::Nothing;
-        }
-        let ratio = idepth / expected;
-        let gap = (ratio - 1.0).powi(2);
-        let variance = sigma * sigma + its_sigma * its_sigma;
-        let sigmas_sq = (AGREEING_SIGMAS * AGREEING_SIGMAS) as f32;
-        let least_sq = (AGREEING_SHARE * AGREEING_SHARE) as f32;
-        if gap > (sigmas_sq * variance).max(least_sq) {
-            return Answer::Other;
-        }
-        Answer::Same {
-            ratio,
-            sigma: its_sigma,
-        }
-    }
+/// What a depth says of a point that it agrees with.
+#[inline]
+fn agreeing([idepth, its_sigma]: [f32; 2], expected: f32, sigma: f32) -> Option<Answer> {
+    let ratio = idepth / expected;
+    let gap = (ratio - 1.0).powi(2);
+    let variance = sigma * sigma + its_sigma * its_sigma;
+    let sigmas_sq = (AGREEING_SIGMAS * AGREEING_SIGMAS) as f32;
+    let least_sq = (AGREEING_SHARE * AGREEING_SHARE) as f32;
+    (gap <= (sigmas_sq * variance).max(least_sq)).then_some(Answer::Same {
+        ratio,
+        sigma: its_sigma,
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::MappingConfig;
     use crate::scene::View;
+    use crate::{KeyframeCamera, MappingConfig};
     use monogrid_geometry::{Pinhole, Rotation, Sim3, Vec3};
 
     const CAMERA: KeyframeCamera = KeyframeCamera {

@@ -17,9 +17,7 @@ use super::fill::{
 };
 use super::shared::{SeenPlane, Surroundings};
 use crate::MappingConfig;
-use crate::scene::Scene;
-use crate::scene::measurement;
-use crate::scene::{at_or, show};
+use crate::scene::{DepthImage, Scene, measurement};
 use monogrid_geometry::Vec2;
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
@@ -66,11 +64,11 @@ pub(super) fn continued(
     };
     let [measured, filled] = view.depths.kinds();
     let plain = Regions::new(&image, measured.iter().chain(&*filled));
-    let mut shown = Image::filled(camera.width, camera.height, 0.0);
-    show(&measured, &mut shown);
-    show(&filled, &mut shown);
+    let mut shown = DepthImage::new(camera);
+    shown.show(measured.iter().copied());
+    shown.show(filled.iter().copied());
     let mut added = envelope.of_plain(&plain, &shown);
-    show(&added, &mut shown);
+    shown.show(added.iter().copied());
     let mut others = envelope.of_others(&plain, &shown);
     added.append(&mut others);
     added
@@ -98,7 +96,7 @@ impl Envelope<'_> {
     }
 
     /// Depth of the plain regions whose outline lies on the envelope.
-    fn of_plain(&self, regions: &Regions, shown: &Image<f32>) -> Vec<Measurement> {
+    fn of_plain(&self, regions: &Regions, shown: &DepthImage) -> Vec<Measurement> {
         let allowed: Vec<Vec<bool>> = outlines(regions, shown)
             .iter()
             .map(|outline| {
@@ -116,9 +114,10 @@ impl Envelope<'_> {
     }
 
     /// Depth of the regions of all other pixels without depth whose outline lies on the envelope.
-    fn of_others(&self, plain: &Regions, shown: &Image<f32>) -> Vec<Measurement> {
-        let is_left = Image::from_fn(shown.width(), shown.height(), |x, y| {
-            plain.labels.at(x, y) == NO_REGION && shown.at(x, y) <= 0.0
+    fn of_others(&self, plain: &Regions, shown: &DepthImage) -> Vec<Measurement> {
+        let labels = &plain.labels;
+        let is_left = Image::from_fn(labels.width(), labels.height(), |x, y| {
+            labels.at(x, y) == NO_REGION && shown.at(x, y).is_none()
         });
         let regions = Regions::of_pixels(&is_left, MIN_AREA_PX);
         let allowed: Vec<Vec<bool>> = outlines(&regions, shown)
@@ -152,12 +151,12 @@ impl Envelope<'_> {
     }
 
     /// Whether what is known beside points of an outline is on the plane for the most part.
-    fn goes_on_beyond(&self, plane: usize, points: &[[f64; 2]], shown: &Image<f32>) -> bool {
+    fn goes_on_beyond(&self, plane: usize, points: &[[f64; 2]], shown: &DepthImage) -> bool {
         let (mut on, mut total) = (0_usize, 0_usize);
         for [x, y] in points {
             for (dx, dy) in EIGHT_DIRECTIONS {
                 let (x, y) = (*x as i32 + BEYOND_PX * dx, *y as i32 + BEYOND_PX * dy);
-                let idepth = at_or(shown, x, y, 0.0);
+                let idepth = shown.idepth(x, y);
                 if idepth > 0.0 {
                     total += 1;
                     on += usize::from(self.is_on(plane, [x.into(), y.into()], idepth.into()));
@@ -200,13 +199,11 @@ impl Envelope<'_> {
 type OutlinePoint = ([f64; 2], f64);
 
 /// What is shown on the outline of each region.
-fn outlines(regions: &Regions, shown: &Image<f32>) -> Vec<Vec<OutlinePoint>> {
+fn outlines(regions: &Regions, shown: &DepthImage) -> Vec<Vec<OutlinePoint>> {
     let mut outlines = vec![Vec::new(); regions.count];
-    let pixels = shown.as_slice().iter().enumerate();
-    for (index, idepth) in pixels.filter(|(_, idepth)| **idepth > 0.0) {
-        let [x, y] = [index % shown.width(), index / shown.width()].map(|at| at as u16);
-        for label in regions_beside(regions, x, y) {
-            outlines[label as usize].push(([x.into(), y.into()], f64::from(*idepth)));
+    for (x, y, [idepth, _]) in shown.pixels() {
+        for label in regions_beside(regions, x as u16, y as u16) {
+            outlines[label as usize].push(([x as f64, y as f64], f64::from(idepth)));
         }
     }
     outlines

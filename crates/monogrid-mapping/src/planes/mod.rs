@@ -14,8 +14,7 @@ mod straight;
 #[cfg(test)]
 mod tests;
 
-use crate::scene::Depths;
-use crate::scene::Scene;
+use crate::scene::{Depths, Scene};
 use continued::continued;
 pub use fill::fill_plain_regions;
 pub(crate) use fill::planes_of_image;

@@ -2,8 +2,7 @@
 
 use super::extent::Extent;
 use super::fill::{Plane, planes_of_image};
-use crate::scene::Scene;
-use crate::scene::View;
+use crate::scene::{Scene, View};
 use crate::{KeyframeCamera, MappingConfig};
 use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 use monogrid_occupancy::DepthPixel as Measurement;

@@ -6,8 +6,7 @@
 //! both sides of what only passes through ([`super::shared::SharedPlane::concentration`]).
 
 use super::shared::{SeenPlane, Surroundings};
-use crate::scene::Depths;
-use crate::scene::Scene;
+use crate::scene::{Depths, Scene};
 use monogrid_occupancy::DepthPixel as Measurement;
 
 /// How far beyond where a plane was measured depth is put on it, as a share of the range.

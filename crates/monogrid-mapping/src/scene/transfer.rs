@@ -1,10 +1,8 @@
 //! From the pixels of one keyframe to those of another.
 
 use crate::KeyframeCamera;
-use crate::scene::KeptDepths;
 use monogrid_geometry::{Pinhole, Sim3};
 use monogrid_image::Image;
-use monogrid_occupancy::DepthPixel as Measurement;
 use nalgebra::{Matrix3, Vector3};
 
 /// Where another keyframe has the pixels of a keyframe, by their inverse depth d there: `(u, v, 1) W = A (x, y, 1) + b d` with
@@ -66,22 +64,6 @@ impl Seen {
     /// The nearest pixel.
     pub fn pixel(&self) -> (usize, usize) {
         ((self.x + 0.5) as usize, (self.y + 0.5) as usize)
-    }
-}
-
-/// The inverse depth of a keyframe, pixel by pixel; 0 where there is none. Measured depth wins where there are both.
-pub(crate) fn depth_image(depths: &KeptDepths, camera: &KeyframeCamera) -> Image<f32> {
-    let mut image = Image::filled(camera.width, camera.height, 0.0);
-    let [measured, filled] = depths.kinds();
-    show(&filled, &mut image);
-    show(&measured, &mut image);
-    image
-}
-
-/// Shows some depth beside what is shown.
-pub(crate) fn show(pixels: &[Measurement], image: &mut Image<f32>) {
-    for pixel in pixels {
-        image.set(pixel.x.into(), pixel.y.into(), pixel.idepth);
     }
 }
 

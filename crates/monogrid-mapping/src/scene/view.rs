@@ -1,9 +1,7 @@
 //! A keyframe with its depth and its pose, and which others see some of the same.
 
 use crate::KeyframeCamera;
-use crate::scene::Scene;
-use crate::scene::Transfer;
-use crate::scene::{Depths, KeptDepths};
+use crate::scene::{Depths, KeptDepths, Scene, Transfer};
 use monogrid_geometry::{Sim3, Vec2, Vec3};
 use monogrid_occupancy::DepthPixel as Measurement;
 use std::sync::Arc;

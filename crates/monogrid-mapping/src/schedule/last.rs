@@ -1,10 +1,8 @@
 //! Better depth of all keyframes, when the poses are known in the end: they take the `stages`
 //! together.
 
-use super::stages::{Found, agreed, completed, found, mapped, matched};
-use crate::agreement::Certainty;
-use crate::scene::{PosedKeyframe, Scene, View, for_each_keyframe};
-use crate::stereo::neighbours;
+use super::stages::{Progress, Stage, mapped, taken, views_of};
+use crate::scene::{PosedKeyframe, Scene, for_each_keyframe};
 use crate::{KeyframeCamera, KeyframeScan, MappingConfig};
 use monogrid_slam::Slam;
 use monogrid_slam::store::Store;
@@ -60,46 +58,27 @@ fn scans_in(
         threads,
     };
     let count = keyframes.len();
-    let is_dense = config.quality.has_dense_depth();
-    let neighbours = for_each_keyframe(count, threads, |index| match is_dense {
-        true => neighbours(&scene, index),
-        false => Vec::new(),
-    });
-    let dense = for_each_keyframe(count, threads, |index| match is_dense {
-        true => matched(&scene, index, &neighbours[index], store),
-        false => None,
-    });
-    let found = for_each_keyframe(count, threads, |index| {
-        let dense = |index: usize| dense[index].as_ref()?.get();
-        let found = found(&scene, index, &neighbours[index], dense, store);
-        done.fetch_add(1, Ordering::Relaxed);
-        found
-    });
-    drop(dense);
-    let views = views_of(&found, |found| found);
-    let seen = scene.seeing(&views);
-    let certainty = Certainty::of_scene(&seen);
-    let agreed = for_each_keyframe(count, threads, |index| {
-        agreed(&seen, &found[index], index, certainty)
-    });
-    drop((views, found));
-    let views = views_of(&agreed, |agreed| agreed);
-    let seen = scene.seeing(&views);
-    let completed = for_each_keyframe(count, threads, |index| {
-        completed(&seen, &agreed[index], index)
-    });
-    drop((views, agreed));
-    let views = views_of(&completed, |completed| &completed.found);
-    let seen = scene.seeing(&views);
+    let mut all = vec![Progress::default(); count];
+    for stage in Stage::ALL {
+        let before: Vec<Option<&Progress>> = all.iter().map(Some).collect();
+        let views = views_of(&before);
+        let scene = scene.seeing(&views);
+        let rest = (stage.certainty(&scene), store);
+        all = for_each_keyframe(count, threads, |index| {
+            let progress = taken(stage, &scene, index, &before, rest);
+            // the stage that takes longest
+            if stage == Stage::Found {
+                done.fetch_add(1, Ordering::Relaxed);
+            }
+            progress
+        });
+    }
+    let before: Vec<Option<&Progress>> = all.iter().map(Some).collect();
+    let views = views_of(&before);
+    let scene = scene.seeing(&views);
     for_each_keyframe(count, threads, |index| {
-        let cloud = |index: usize| Some(&completed.get(index)?.cloud);
-        mapped(&seen, &completed[index], index, cloud)
+        mapped(&scene, index, &before, store)
     })
-}
-
-/// Keyframes as others see them.
-fn views_of<T>(all: &[T], found: impl Fn(&T) -> &Found) -> Vec<Option<View>> {
-    all.iter().map(|this| found(this).view.clone()).collect()
 }
 
 #[cfg(test)]

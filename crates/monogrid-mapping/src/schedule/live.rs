@@ -1,20 +1,15 @@
 //! Better depth of keyframes while a run goes on.
 //!
-//! They take the stages of the final maps (module `stages`), one keyframe and one stage at a time.
-//! A keyframe takes a stage when the [`AHEAD`] keyframes after it are as far, so that neighbours on
-//! both sides have their say, and its depth is ready when five more are finished. Who has no time
-//! for all of them leaves out some: keyframes are taken in their order, and where more than
-//! [`MAX_BEHIND`] wait, the newest are, the others when there is nothing else to do.
+//! They take the stages of the final maps (`stages`), one keyframe and one stage at a time, among
+//! the keyframes of a window around it. A keyframe takes a stage when the [`AHEAD`] keyframes after
+//! it are as far, so that neighbours on both sides have their say, and its depth is ready when five
+//! more are finished. Who has no time for all of them leaves out some: keyframes are taken in their
+//! order, and where more than [`MAX_BEHIND`] wait, the newest are, the others when there is nothing
+//! else to do.
 
-use super::stages::{Completed, Found, agreed, completed, found, mapped, matched};
-use crate::agreement::Certainty;
-use crate::scene::Depths;
-use crate::scene::View;
+use super::stages::{Progress, Stage, mapped, taken, views_of};
 use crate::scene::{PosedKeyframe, Scene};
-use crate::stereo::neighbours;
 use crate::{KeyframeCamera, KeyframeScan, MappingConfig};
-use monogrid_depth::DenseDepth;
-use monogrid_slam::store::Kept;
 use monogrid_slam::{KeptKeyframe, KeyframeId, PoseSnapshot};
 use std::collections::VecDeque;
 
@@ -23,38 +18,19 @@ const AHEAD: usize = 1;
 
 /// Keyframes that wait for their first step while it is taken in order.
 const MAX_BEHIND: usize = 8;
-/// Keyframes of which what was found is kept for the others.
+/// Keyframes of which what was found is kept for the others, and keyframes on either side that are
+/// looked at.
 const MAX_HELD: usize = 20;
 /// How far from a keyframe, in keyframes, are those that tell how certain its depth is.
 const COMPARED: usize = 3;
 
-/// How far a keyframe has come.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Stage {
-    Waiting,
-    /// Its image was matched with those of its neighbours.
-    Matched,
-    /// What these confirm was merged with its own depth, refined and filled.
-    Found,
-    /// As certain as they agree, and fused with theirs.
-    Agreed,
-    /// With depth that they have and it has not.
-    Completed,
-    /// Handed over.
-    Ready,
-}
-
-/// A keyframe and how far it has come. What it had at each stage is kept, since neighbours that are behind compare theirs with it.
+/// A keyframe and how far it has come.
 #[derive(Debug)]
 struct Work {
     keyframe: KeptKeyframe,
     stage: Stage,
-    /// Its dense depth, as it was matched.
-    dense: Option<Kept<DenseDepth>>,
-    /// What was found by each later stage.
-    found: Option<Found>,
-    agreed: Option<Found>,
-    completed: Option<Completed>,
+    /// What it had at each stage that it has taken, which neighbours that are behind look at.
+    had: Vec<Progress>,
 }
 
 impl Work {
@@ -63,11 +39,14 @@ impl Work {
         Self {
             keyframe,
             stage: Stage::Waiting,
-            dense: None,
-            found: None,
-            agreed: None,
-            completed: None,
+            had: Vec::new(),
         }
+    }
+
+    /// What it had at a stage.
+    fn at(&self, stage: Stage) -> Option<&Progress> {
+        let index = Stage::ALL.iter().position(|other| *other == stage)?;
+        self.had.get(index)
     }
 }
 
@@ -129,18 +108,56 @@ impl LiveDepth {
         let Some(index) = self.next() else {
             return Step::Idle;
         };
-        let stage = match self.work[index].stage {
-            Stage::Waiting => self.match_images(index, poses),
-            Stage::Matched => self.find(index, poses),
-            Stage::Found => self.agree(index, poses),
-            Stage::Agreed => self.complete(index, poses),
-            Stage::Completed | Stage::Ready => {
-                self.work[index].stage = Stage::Ready;
-                return Step::Better(self.map(index, poses));
-            }
+        self.take_stage(index, poses)
+    }
+
+    /// Lets a keyframe take its next stage, among those of the window around it.
+    fn take_stage(&mut self, index: usize, poses: &PoseSnapshot) -> Step {
+        let (last, stage) = (self.work[index].stage, self.work[index].stage.next());
+        let first = index.saturating_sub(MAX_HELD);
+        let window = &self.work[first..(index + MAX_HELD + 1).min(self.work.len())];
+        let keyframes = window.iter().map(|work| &work.keyframe);
+        let keyframes: Vec<PosedKeyframe> =
+            keyframes.map(|k| PosedKeyframe::kept(k, poses)).collect();
+        let before: Vec<Option<&Progress>> = window.iter().map(|work| work.at(last)).collect();
+        let (views, store) = (views_of(&before), self.work[index].keyframe.store());
+        let index_in_window = index - first;
+        let scene = Scene {
+            keyframes: &keyframes,
+            views: &views,
+            camera: &self.camera,
+            config: &self.config,
+            threads: 1,
         };
-        self.work[index].stage = stage;
+        if stage == Stage::Ready {
+            let scan = mapped(&scene, index_in_window, &before, store);
+            self.work[index].stage = stage;
+            return Step::Better(scan);
+        }
+        let near = index_in_window.saturating_sub(COMPARED)
+            ..(index_in_window + COMPARED + 1).min(views.len());
+        let certainty = stage.certainty(&scene.seeing(&views[near]));
+        let rest = (certainty, store);
+        let progress = taken(stage, &scene, index_in_window, &before, rest);
+        let work = &mut self.work[index];
+        work.had.push(progress);
+        work.stage = stage;
+        if stage == Stage::Matched {
+            self.hold(index);
+        }
         Step::Worked
+    }
+
+    /// Remembers that something of a keyframe is kept, and leaves what was kept longest.
+    fn hold(&mut self, index: usize) {
+        let id = self.work[index].keyframe.id;
+        self.last = Some(id);
+        self.held.push_back(id);
+        while self.held.len() > MAX_HELD
+            && let Some(oldest) = self.held.pop_front()
+        {
+            self.forget(oldest);
+        }
     }
 
     /// The keyframe that takes a step: the one that is nearest to its end, else one that waits.
@@ -182,117 +199,11 @@ impl LiveDepth {
         })
     }
 
-    /// Matches the image of a keyframe with those of its neighbours.
-    fn match_images(&mut self, index: usize, poses: &PoseSnapshot) -> Stage {
-        let store = self.work[index].keyframe.store();
-        let dense = self.scene(poses, &[], |scene| {
-            matched(scene, index, &neighbours(scene, index), store)
-        });
-        let work = &mut self.work[index];
-        let id = work.keyframe.id;
-        work.dense = dense;
-        self.last = Some(id);
-        self.held.push_back(id);
-        while self.held.len() > MAX_HELD
-            && let Some(oldest) = self.held.pop_front()
-        {
-            self.forget(oldest);
-        }
-        Stage::Matched
-    }
-
-    /// Merges what neighbours confirm with the depth of the filter.
-    fn find(&mut self, index: usize, poses: &PoseSnapshot) -> Stage {
-        let store = self.work[index].keyframe.store();
-        let dense = |other: usize| self.work[other].dense.as_ref()?.get();
-        let found = self.scene(poses, &[], |scene| {
-            found(scene, index, &neighbours(scene, index), dense, store)
-        });
-        self.work[index].found = Some(found);
-        Stage::Found
-    }
-
-    /// Makes its depth as certain as others agree, and fuses it with theirs.
-    fn agree(&mut self, index: usize, poses: &PoseSnapshot) -> Stage {
-        if let Some(found) = &self.work[index].found {
-            let near = self.views(COMPARED, index, |work| work.found.as_ref());
-            let certainty = self.scene(poses, &near, Certainty::of_scene);
-            let views = self.views(MAX_HELD, index, |work| work.found.as_ref());
-            let agreed = self.scene(poses, &views, |scene| {
-                agreed(scene, found, index, certainty)
-            });
-            self.work[index].agreed = Some(agreed);
-        }
-        Stage::Agreed
-    }
-
-    /// Takes over depth that others have and it has not.
-    fn complete(&mut self, index: usize, poses: &PoseSnapshot) -> Stage {
-        if let Some(agreed) = &self.work[index].agreed {
-            let views = self.views(MAX_HELD, index, |work| work.agreed.as_ref());
-            let completed = self.scene(poses, &views, |scene| completed(scene, agreed, index));
-            self.work[index].completed = Some(completed);
-        }
-        Stage::Completed
-    }
-
-    /// What of a keyframe is mapped; nothing where nothing was found.
-    fn map(&self, index: usize, poses: &PoseSnapshot) -> KeyframeScan {
-        let work = &self.work[index];
-        let Some(completed) = &work.completed else {
-            let store = work.keyframe.store();
-            return Depths::default().joined(work.keyframe.id, &self.camera, store);
-        };
-        let views = self.views(MAX_HELD, index, |work| {
-            Some(&work.completed.as_ref()?.found)
-        });
-        let cloud = |other: usize| Some(&self.work[other].completed.as_ref()?.cloud);
-        self.scene(poses, &views, |scene| {
-            mapped(scene, completed, index, cloud)
-        })
-    }
-
-    /// What keyframes have at a stage, by their index, of those around one.
-    fn views(
-        &self,
-        reach: usize,
-        index: usize,
-        at_stage: impl Fn(&Work) -> Option<&Found>,
-    ) -> Vec<Option<View>> {
-        let around = index.saturating_sub(reach)..=index + reach;
-        let work = self.work.iter().enumerate();
-        work.map(|(other, work)| match around.contains(&other) {
-            true => at_stage(work)?.view.clone(),
-            false => None,
-        })
-        .collect()
-    }
-
-    /// Does something with the keyframes at their poses and what they have.
-    fn scene<T>(
-        &self,
-        poses: &PoseSnapshot,
-        views: &[Option<View>],
-        with: impl FnOnce(&Scene) -> T,
-    ) -> T {
-        let work = self.work.iter();
-        let keyframes: Vec<PosedKeyframe> = work
-            .map(|work| PosedKeyframe::kept(&work.keyframe, poses))
-            .collect();
-        with(&Scene {
-            keyframes: &keyframes,
-            views,
-            camera: &self.camera,
-            config: &self.config,
-            threads: 1,
-        })
-    }
-
     /// Leaves what was found of a keyframe; one that was not handed over begins again.
     fn forget(&mut self, id: KeyframeId) {
         if let Ok(index) = self.index(id) {
             let work = &mut self.work[index];
-            (work.dense, work.found, work.agreed, work.completed) = (None, None, None, None);
+            work.had.clear();
             if work.stage != Stage::Ready {
                 work.stage = Stage::Waiting;
             }
@@ -338,6 +249,16 @@ mod tests {
             image: wall(place(id)),
             pixels,
         }
+    }
+
+    fn posed<'a>(keyframes: &'a [Keyframe], snapshot: &PoseSnapshot) -> Vec<PosedKeyframe<'a>> {
+        let posed = |keyframe: &'a Keyframe| PosedKeyframe {
+            id: keyframe.id,
+            image: Some(ImageOf::Held(&keyframe.image)),
+            depth: DepthOf::Held(&keyframe.pixels),
+            world_from_keyframe: snapshot.in_main_map(keyframe.id).copied(),
+        };
+        keyframes.iter().map(posed).collect()
     }
 
     fn live() -> LiveDepth {
@@ -388,17 +309,8 @@ mod tests {
         }
         assert!(live.has_handed_over(5) && !live.has_handed_over(6));
         let keyframes: Vec<Keyframe> = (0..count).map(keyframe).collect();
-        let posed: Vec<PosedKeyframe> = keyframes
-            .iter()
-            .map(|keyframe| PosedKeyframe {
-                id: keyframe.id,
-                image: Some(ImageOf::Held(&keyframe.image)),
-                depth: DepthOf::Held(&keyframe.pixels),
-                world_from_keyframe: snapshot.in_main_map(keyframe.id).copied(),
-            })
-            .collect();
         let config = MappingConfig::default();
-        let last = final_scans(&posed, &CAMERA, &config, 2);
+        let last = final_scans(&posed(&keyframes, &snapshot), &CAMERA, &config, 2);
         // the first one has neighbours on one side, of which too few confirm it
         for scan in &ready[1..] {
             // the newest are seen from one side only when they take their steps
@@ -413,6 +325,27 @@ mod tests {
         let measured = &keyframes[1].pixels;
         let of_filter = KeyframeScan::new(1, measured, None, &CAMERA, &config);
         assert!(of_filter.num_pixels == 0 && !measured.is_empty());
+    }
+
+    #[test]
+    fn a_window_that_holds_all_keyframes_gives_their_final_depth() {
+        let (count, snapshot) = (
+            COMPARED as KeyframeId + 1,
+            poses(COMPARED as KeyframeId + 1),
+        );
+        let mut live = live();
+        (0..count).for_each(|id| live.add(keyframe(id).into()));
+        let mut scans = Vec::new();
+        for _ in 0..=Stage::ALL.len() {
+            for index in 0..count as usize {
+                if let Step::Better(scan) = live.take_stage(index, &snapshot) {
+                    scans.push(scan);
+                }
+            }
+        }
+        let keyframes: Vec<Keyframe> = (0..count).map(keyframe).collect();
+        let last = final_scans(&posed(&keyframes, &snapshot), &CAMERA, &live.config, 2);
+        assert!(scans == last && last.iter().all(|scan| scan.num_pixels > 1000));
     }
 
     #[test]
@@ -475,11 +408,10 @@ mod tests {
             live.add(keyframe(id).into());
             rest(&mut live, &snapshot);
         }
-        let num_held = |live: &LiveDepth| live.work.iter().filter(|w| w.found.is_some()).count();
-        let num_dense = |live: &LiveDepth| live.work.iter().filter(|w| w.dense.is_some()).count();
-        assert!(num_held(&live) <= MAX_HELD && num_dense(&live) == MAX_HELD);
+        let num_held = live.work.iter().filter(|w| !w.had.is_empty()).count();
+        assert_eq!(num_held, MAX_HELD);
         // one that nothing is kept of is ready all the same
-        assert!(live.has_handed_over(0) && live.work[0].found.is_none());
+        assert!(live.has_handed_over(0) && live.work[0].had.is_empty());
         let revised = live.work.len() - 8;
         live.add(keyframe(revised as KeyframeId).into());
         assert!(!live.has_handed_over(revised as KeyframeId));

@@ -1,27 +1,23 @@
 //! What happens to the depth of a keyframe, stage by stage, in this order:
 //!
-//! 1. [`matched`]: dense depth by the images of its neighbours (`dense`);
-//! 2. [`found`]: what these confirm of it beside the depth of the filter, both made better by the
-//!    images around (`refine_depth`), what is precise enough, and plain surfaces between it
-//!    (`scan`, `fill`);
-//! 3. [`agreed`]: as certain as keyframes agree (`certainty`), one depth from all that see the same
-//!    (`fusion`);
-//! 4. [`completed`]: where a keyframe has no depth, that of those that see the same (`completion`);
-//! 5. [`mapped`]: large planes beyond what was measured of them, and what lies on them put on them
-//!    (`planes`).
+//! 1. [`Stage::Matched`]: dense depth by the images of its neighbours (`stereo`);
+//! 2. [`Stage::Found`]: what these confirm of it beside the depth of the filter, both made better by
+//!    the images around, what is precise enough (`sensor`), and plain surfaces between it (`planes`);
+//! 3. [`Stage::Agreed`]: as certain as keyframes agree, one depth from all that see the same
+//!    (`agreement`);
+//! 4. [`Stage::Completed`]: where a keyframe has no depth, that of those that see the same
+//!    (`agreement`).
 //!
-//! Each stage of a keyframe looks at what others have from the stage before. All keyframes take a
-//! stage together at the final poses (`last`), and one at a time while a run goes on
-//! (`live`).
+//! Then it is [`mapped`]: large planes beyond what was measured of them, and what lies on them put
+//! on them (`planes`).
+//!
+//! Each stage of a keyframe looks at what others had at the stage before. All keyframes take a
+//! stage together at the final poses (`last`), and one at a time while a run goes on (`live`).
 
-use crate::agreement::fused;
-use crate::agreement::{self, Certainty};
+use crate::agreement::{Certainty, completed, fused};
 use crate::planes::{Cloud, on_planes};
-use crate::scene::{Depths, KeptDepths};
-use crate::scene::{Neighbour, Scene};
-use crate::scene::{View, probes};
-use crate::stereo::refined;
-use crate::stereo::{confirmed, merged, stereo};
+use crate::scene::{Depths, KeptDepths, Scene, View, probes};
+use crate::stereo::{confirmed, merged, refined, stereo};
 use crate::{KeyframeCamera, KeyframeScan};
 use monogrid_depth::DenseDepth;
 use monogrid_geometry::Sim3;
@@ -35,31 +31,111 @@ use std::sync::Arc;
 /// (icl-office-kt3 had 4 % less of its surfaces).
 const MAX_STATED_SIGMA: f64 = 0.08;
 
-/// Dense depth of a keyframe by its neighbours; none where there is no image, no pose or no
-/// neighbour.
-pub(crate) fn matched(
-    scene: &Scene,
-    index: usize,
-    neighbours: &[Neighbour],
-    store: &Store,
-) -> Option<Kept<DenseDepth>> {
-    let depth = stereo(scene, index, neighbours)?;
-    Some(store.keep(depth))
+/// How far a keyframe has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Stage {
+    Waiting,
+    /// Its image was matched with those of its neighbours.
+    Matched,
+    /// What these confirm was merged with its own depth, refined and filled.
+    Found,
+    /// As certain as they agree, and fused with theirs.
+    Agreed,
+    /// With depth that they have and it has not.
+    Completed,
+    /// Mapped.
+    Ready,
 }
 
-/// The depth of a keyframe by all that itself and its neighbours tell; `dense` is that of each as
-/// it was matched.
-pub(crate) fn found(
+impl Stage {
+    /// Those that make depth better, in their order.
+    pub const ALL: [Self; 4] = [Self::Matched, Self::Found, Self::Agreed, Self::Completed];
+
+    /// The one after it.
+    pub fn next(self) -> Self {
+        let later = Self::ALL.into_iter().find(|stage| *stage > self);
+        later.unwrap_or(Self::Ready)
+    }
+
+    /// What keyframes that are about to take it tell together about the certainty of their depth.
+    pub fn certainty(self, scene: &Scene) -> Certainty {
+        match self {
+            Self::Agreed => Certainty::of_scene(scene),
+            _ => Certainty::UNCHANGED,
+        }
+    }
+}
+
+/// What a keyframe has at a stage; nothing before the first one.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Progress {
+    /// Its dense depth, as it was matched.
+    dense: Option<Kept<DenseDepth>>,
+    /// From the second stage on.
+    found: Option<Found>,
+    /// Some of it in which planes are looked for, from the last stage on.
+    cloud: Cloud,
+}
+
+#[derive(Clone, Debug)]
+struct Found {
+    depths: KeptDepths,
+    /// As others see it, where it has a pose.
+    view: Option<View>,
+}
+
+/// What each keyframe had at one stage, for those that take the next one.
+pub(super) type Before<'a> = [Option<&'a Progress>];
+
+/// Keyframes as others see them.
+pub(super) fn views_of(before: &Before) -> Vec<Option<View>> {
+    let view = |this: &Option<&Progress>| this.as_ref()?.found.as_ref()?.view.clone();
+    before.iter().map(view).collect()
+}
+
+/// What a keyframe has when it has taken a stage; its view is that of its index in the scene.
+pub(super) fn taken(
+    stage: Stage,
     scene: &Scene,
     index: usize,
-    neighbours: &[Neighbour],
-    dense: impl Fn(usize) -> Option<Arc<DenseDepth>>,
-    store: &Store,
-) -> Found {
+    before: &Before,
+    (certainty, store): (Certainty, &Store),
+) -> Progress {
+    let this = before[index].and_then(|this| this.found.as_ref());
+    match stage {
+        Stage::Waiting => Progress::default(),
+        Stage::Matched => Progress {
+            dense: matched(scene, index).map(|depth| store.keep(depth)),
+            ..Progress::default()
+        },
+        Stage::Found => Progress {
+            found: Some(found(scene, index, before, store)),
+            ..Progress::default()
+        },
+        Stage::Agreed => Progress {
+            found: this.map(|this| agreed(scene, this, index, certainty)),
+            ..Progress::default()
+        },
+        Stage::Completed | Stage::Ready => this.map_or_else(Progress::default, |this| {
+            with_depth_of_others(scene, this, index)
+        }),
+    }
+}
+
+/// Dense depth of a keyframe by its neighbours; none where there is no image, no pose or no
+/// neighbour, or where the quality asks for none.
+fn matched(scene: &Scene, index: usize) -> Option<DenseDepth> {
+    let is_dense = scene.config.quality.has_dense_depth();
+    is_dense.then(|| stereo(scene, index))?
+}
+
+/// The depth of a keyframe by all that itself and its neighbours tell.
+fn found(scene: &Scene, index: usize, before: &Before, store: &Store) -> Found {
     let Scene { camera, config, .. } = *scene;
     let keyframe = &scene.keyframes[index];
     let mut pixels = keyframe.depth.get();
-    if let Some(dense) = confirmed(scene, index, neighbours, dense) {
+    let dense = |other: usize| -> Option<Arc<DenseDepth>> { before[other]?.dense.as_ref()?.get() };
+    if let Some(dense) = confirmed(scene, index, dense) {
         pixels = Cow::Owned(merged(&pixels, &dense, camera));
     }
     let (pixels, misfits) = match config.refine.enabled {
@@ -79,60 +155,40 @@ pub(crate) fn found(
 
 /// What was found of a keyframe, as certain as it is, each depth fused with those of others that
 /// agree.
-pub(crate) fn agreed(scene: &Scene, this: &Found, index: usize, certainty: Certainty) -> Found {
-    let Scene { camera, config, .. } = *scene;
+fn agreed(scene: &Scene, this: &Found, index: usize, certainty: Certainty) -> Found {
     let mut depths = certainty.apply(&this.depths);
-    if config.fusion.max_witnesses > 0 {
+    if scene.config.fusion.max_witnesses > 0 {
         depths = fused(scene, index, depths, certainty);
     }
-    this.with_depths(depths, camera)
+    this.with_depths(depths, scene.camera)
 }
 
 /// With depth that others have and the keyframe has not.
-pub(crate) fn completed(scene: &Scene, this: &Found, index: usize) -> Completed {
+fn with_depth_of_others(scene: &Scene, this: &Found, index: usize) -> Progress {
     let Scene { camera, config, .. } = *scene;
-    if !config.quality.has_dense_depth() {
-        return Completed {
-            found: this.clone(),
-            cloud: Cloud::default(),
-        };
+    let mut progress = Progress {
+        found: Some(this.clone()),
+        ..Progress::default()
+    };
+    if config.quality.has_dense_depth() {
+        let depths = this.depths.depths().with_filled(completed(scene, index));
+        let found = this.with_depths(depths, camera);
+        progress.cloud = Cloud::new(found.view.as_ref(), camera, config);
+        progress.found = Some(found);
     }
-    let added = agreement::completed(scene, index);
-    let found = this.with_depths(this.depths.depths().with_filled(added), camera);
-    let cloud = Cloud::new(found.view.as_ref(), camera, config);
-    Completed { found, cloud }
+    progress
 }
 
-/// What of a keyframe is mapped: its depths on the large planes that it shares with others, and
-/// these planes beyond what was measured of them; `cloud` is what each keyframe sees.
-pub(crate) fn mapped<'a>(
-    scene: &Scene,
-    this: &Completed,
-    index: usize,
-    cloud: impl Fn(usize) -> Option<&'a Cloud>,
-) -> KeyframeScan {
-    let kept = &this.found.depths;
-    let mut depths = kept.depths();
-    if scene.config.quality.has_dense_depth() {
+/// What of a keyframe is mapped when it has taken all stages: its depths on the large planes that it
+/// shares with others, and these planes beyond what was measured of them.
+pub(super) fn mapped(scene: &Scene, index: usize, before: &Before, store: &Store) -> KeyframeScan {
+    let this = before[index].and_then(|this| this.found.as_ref());
+    let mut depths = this.map_or_else(Depths::default, |this| this.depths.depths());
+    if this.is_some() && scene.config.quality.has_dense_depth() {
+        let cloud = |other: usize| before[other].map(|other| &other.cloud);
         depths = on_planes(scene, index, depths, cloud);
     }
-    depths.joined(scene.keyframes[index].id, scene.camera, kept.store())
-}
-
-/// What was found of a keyframe. Its view is that of its index among those of a scene.
-#[derive(Clone, Debug)]
-pub(crate) struct Found {
-    depths: KeptDepths,
-    /// As others see it, where it has a pose.
-    pub view: Option<View>,
-}
-
-/// What was found of a keyframe with what others have, and some of it in which planes are looked
-/// for.
-#[derive(Clone, Debug)]
-pub(crate) struct Completed {
-    pub found: Found,
-    pub cloud: Cloud,
+    depths.joined(scene.keyframes[index].id, scene.camera, store)
 }
 
 impl Found {

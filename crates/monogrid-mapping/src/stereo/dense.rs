@@ -3,7 +3,7 @@
 
 use super::refine::{seeds, source_views};
 use crate::KeyframeCamera;
-use crate::scene::{Neighbour, Scene};
+use crate::scene::{DepthImage, Neighbour, Scene};
 use monogrid_depth::{DenseDepth, Witness, dense_depth};
 use monogrid_geometry::{Sim3, Vec2, Vec3};
 use monogrid_image::Image;
@@ -29,12 +29,13 @@ const ONE_SURFACE: f32 = 0.03;
 pub(crate) fn confirmed(
     scene: &Scene,
     index: usize,
-    neighbours: &[Neighbour],
     depth: impl Fn(usize) -> Option<Arc<DenseDepth>>,
 ) -> Option<DenseDepth> {
     let config = &scene.config.dense;
-    let neighbours = neighbours.iter().take(config.max_witnesses);
+    let own = depth(index)?;
+    let neighbours = neighbours(scene, index).into_iter();
     let seen: Vec<(Arc<DenseDepth>, Sim3)> = neighbours
+        .take(config.max_witnesses)
         .filter_map(|other| Some((depth(other.index)?, other.neighbour_from_keyframe)))
         .collect();
     let witnesses = seen.iter().map(|(depth, witness_from_keyframe)| Witness {
@@ -42,14 +43,13 @@ pub(crate) fn confirmed(
         witness_from_keyframe: *witness_from_keyframe,
     });
     let witnesses: Vec<Witness> = witnesses.collect();
-    let pinhole = &scene.camera.pinhole;
-    Some(depth(index)?.agreed(&witnesses, pinhole, &config.stereo))
+    Some(own.agreed(&witnesses, &scene.camera.pinhole, &config.stereo))
 }
 
 /// The dense depth of one keyframe by its neighbours.
-pub(crate) fn stereo(scene: &Scene, index: usize, neighbours: &[Neighbour]) -> Option<DenseDepth> {
+pub(crate) fn stereo(scene: &Scene, index: usize) -> Option<DenseDepth> {
     let config = &scene.config.dense;
-    let near = scene.sources(neighbours, config.max_sources);
+    let near = scene.sources(&neighbours(scene, index), config.max_sources);
     let keyframe = &scene.keyframes[index];
     dense_depth(
         &*keyframe.image()?,
@@ -62,7 +62,7 @@ pub(crate) fn stereo(scene: &Scene, index: usize, neighbours: &[Neighbour]) -> O
 
 /// The keyframes with an image that are most useful for the depth of another one, the best first:
 /// as many as match it or confirm it.
-pub(crate) fn neighbours(scene: &Scene, index: usize) -> Vec<Neighbour> {
+fn neighbours(scene: &Scene, index: usize) -> Vec<Neighbour> {
     let (config, camera) = (&scene.config.dense, scene.camera);
     let points = probes(&scene.keyframes[index].depth.get(), camera);
     let most = config.max_sources.max(config.max_witnesses);
@@ -121,32 +121,26 @@ pub(crate) fn merged(
     dense: &DenseDepth,
     camera: &KeyframeCamera,
 ) -> Vec<DepthPixel> {
-    let mut depths: Image<Option<[f32; 2]>> = Image::filled(camera.width, camera.height, None);
+    let mut depths = DepthImage::new(camera);
     for pixel in filter {
-        let (x, y) = (usize::from(pixel.x), usize::from(pixel.y));
-        if x < camera.width && y < camera.height {
-            depths.set(x, y, Some([pixel.idepth, pixel.idepth_var]));
-        }
+        let depth = [pixel.idepth, pixel.idepth_var];
+        depths.set(pixel.x.into(), pixel.y.into(), depth);
     }
     for y in 0..2 * dense.idepth.height() {
         for x in 0..2 * dense.idepth.width() {
             if let Some(idepth) = at_full_size(&dense.idepth, x, y) {
                 let variance = dense.sigma.at(x / 2, y / 2).powi(2);
-                depths.set(x, y, Some(fused(depths.at(x, y), idepth, variance)));
+                depths.set(x, y, fused(depths.at(x, y), idepth, variance));
             }
         }
     }
-    let pixel = |(index, depth): (usize, &Option<[f32; 2]>)| {
-        let [idepth, idepth_var] = (*depth)?;
-        Some(DepthPixel {
-            x: (index % camera.width) as u16,
-            y: (index / camera.width) as u16,
-            idepth,
-            idepth_var,
-        })
+    let pixel = |(x, y, [idepth, idepth_var]): (usize, usize, [f32; 2])| DepthPixel {
+        x: x as u16,
+        y: y as u16,
+        idepth,
+        idepth_var,
     };
-    let depths = depths.as_slice().iter().enumerate();
-    depths.filter_map(pixel).collect()
+    depths.pixels().map(pixel).collect()
 }
 
 /// Dense depth with that of the filter. Both come from the same images, so that the variance is the

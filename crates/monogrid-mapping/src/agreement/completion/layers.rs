@@ -2,8 +2,7 @@
 
 use super::brightness::smooth_at;
 use crate::KeyframeCamera;
-use crate::scene::KeptDepths;
-use crate::scene::Transfer;
+use crate::scene::{DepthImage, KeptDepths, Transfer};
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
 
@@ -82,7 +81,7 @@ impl Layers {
     /// Those that so many keyframes have, where a pixel has no depth.
     pub fn candidates(
         self,
-        mine: &Image<f32>,
+        mine: &DepthImage,
         image: &Image<u8>,
         min_support: usize,
     ) -> Vec<Candidate> {
@@ -91,7 +90,7 @@ impl Layers {
             for (column, layers) in self.layers.row(row).iter().enumerate() {
                 let (x, y) = (2 * column, 2 * row);
                 let of_four = [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)];
-                if of_four.iter().all(|(x, y)| mine.at(*x, *y) > 0.0) {
+                if of_four.iter().all(|(x, y)| mine.at(*x, *y).is_some()) {
                     continue;
                 }
                 let has_support =

@@ -12,9 +12,7 @@ mod layers;
 mod tests;
 
 use crate::CompletionConfig;
-use crate::scene::Scene;
-use crate::scene::measurement;
-use crate::scene::{Seen, Transfer, depth_image};
+use crate::scene::{DepthImage, Scene, Seen, Transfer, measurement};
 use crate::stereo::at_full_size;
 use brightness::{Brightness, smooth_at};
 use layers::{Candidate, Layers};
@@ -41,21 +39,22 @@ pub(crate) fn completed(scene: &Scene, index: usize) -> Vec<Measurement> {
     for (_, view) in &others {
         layers.hear(&view.depths, &view.transfer_to(this, camera), tolerance);
     }
-    let mine = depth_image(&this.depths, camera);
+    let mine = DepthImage::of(&this.depths, camera);
     let size = layers.size();
     let mut candidates = layers.candidates(&mine, &image, config.min_support);
     for (other, view) in others {
         let Some(their_image) = image_of(other) else {
             continue;
         };
-        let theirs = depth_image(&view.depths, camera);
+        let theirs = DepthImage::of(&view.depths, camera);
         let witness = Witness {
             depth: &theirs,
             other_from_this: this.transfer_to(view, camera),
             tolerance,
         };
         let brightness = Brightness::between(&image, &their_image, |x, y| {
-            witness.confirmed(x, y, mine.at(x, y))
+            let [idepth, _] = mine.at(x, y)?;
+            witness.confirmed(x, y, idepth)
         });
         let is_alike = |candidate: &Candidate, seen: &Seen| {
             let grey = smooth_at(&their_image, seen.x, seen.y);
@@ -81,7 +80,7 @@ fn is_believed(candidate: &Candidate, config: &CompletionConfig) -> bool {
 
 /// A keyframe that says what it has of the points of another.
 struct Witness<'a> {
-    depth: &'a Image<f32>,
+    depth: &'a DepthImage,
     other_from_this: Transfer,
     /// Inverse depths that differ by this share of them are of two surfaces.
     tolerance: f32,
@@ -93,15 +92,12 @@ impl Witness<'_> {
     fn ratio(&self, x: f32, y: f32, idepth: f32) -> Option<(Seen, f32)> {
         let seen = self.other_from_this.of(x, y, idepth)?;
         let (column, row) = seen.pixel();
-        let idepth = self.depth.at(column, row);
-        (idepth > 0.0).then(|| (seen, idepth / seen.idepth))
+        let [idepth, _] = self.depth.at(column, row)?;
+        Some((seen, idepth / seen.idepth))
     }
 
-    /// Where it shows a pixel whose inverse depth it has as well; 0 is none.
+    /// Where it shows a pixel whose inverse depth it has as well.
     fn confirmed(&self, x: usize, y: usize, idepth: f32) -> Option<Seen> {
-        if idepth <= 0.0 {
-            return None;
-        }
         let (seen, ratio) = self.ratio(x as f32, y as f32, idepth)?;
         ((ratio - 1.0).abs() <= self.tolerance).then_some(seen)
     }
@@ -123,7 +119,7 @@ impl Witness<'_> {
 
 /// The first of the surfaces on each line of sight, at the pixels that have no depth.
 fn at_pixels_without(
-    mine: &Image<f32>,
+    mine: &DepthImage,
     candidates: Vec<Candidate>,
     (width, height): (usize, usize),
 ) -> Vec<Measurement> {
@@ -138,7 +134,7 @@ fn at_pixels_without(
     }
     let pixels = (0..2 * height).flat_map(|y| (0..2 * width).map(move |x| (x, y)));
     pixels
-        .filter(|(x, y)| mine.at(*x, *y) <= 0.0)
+        .filter(|(x, y)| mine.at(*x, *y).is_none())
         .filter_map(|(x, y)| {
             let idepth = at_full_size(&idepths, x, y)?;
             let sigma = sigmas.at(x / 2, y / 2) * idepth;

@@ -29,8 +29,7 @@ mod hull;
 mod plane;
 mod regions;
 
-use crate::scene::at_or;
-use crate::scene::measurement;
+use crate::scene::{at_or, measurement};
 use hull::Hull;
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
