@@ -22,7 +22,8 @@ mod test_points;
 
 pub use config::{AlignmentConfig, Brightness, Robust};
 pub use kernel::{Linearization, Motion, Weighting, linearize};
-pub use reference::{DepthSample, Reference, ReferenceLevel};
+pub use monogrid_image::DepthPixel;
+pub use reference::{Reference, ReferenceLevel};
 pub use similarity::{
     DepthLevel, Disagreement, KeyframeView, SimilarityAlignment, SimilarityConfig,
     SimilarityConstraint, SimilarityLinearization, SimilarityState, SimilarityWeighting,

@@ -1,22 +1,8 @@
 //! The keyframe as points per pyramid level.
 
 use monogrid_geometry::Pinhole;
-use monogrid_image::{Pyramid, pyramid_intrinsics};
+use monogrid_image::{DepthPixel, Pyramid, pyramid_intrinsics};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
-
-/// Inverse depth of one keyframe pixel at full resolution.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct DepthSample {
-    /// Column, px.
-    pub x: u16,
-    /// Row, px.
-    pub y: u16,
-    /// Inverse depth, 1 / keyframe units.
-    pub idepth: f32,
-    /// Variance of the inverse depth.
-    pub idepth_var: f32,
-}
 
 /// Points of one level, structure of arrays. Positions are viewing directions with z = 1.
 #[derive(Clone, Debug, Default)]
@@ -109,7 +95,7 @@ struct Cell {
 }
 
 impl Cell {
-    fn add(&mut self, sample: &DepthSample) {
+    fn add(&mut self, sample: &DepthPixel) {
         let information = 1.0 / sample.idepth_var;
         self.information += information;
         self.weighted += information * sample.idepth;
@@ -130,7 +116,7 @@ impl Reference {
     pub fn new(
         pyramid: &Pyramid,
         pinhole: &Pinhole,
-        samples: &[DepthSample],
+        samples: &[DepthPixel],
         finest: usize,
         coarsest: usize,
     ) -> Self {
@@ -179,13 +165,13 @@ impl Reference {
 fn level_points(
     pyramid: &Pyramid,
     pinhole: &Pinhole,
-    samples: &[DepthSample],
+    samples: &[DepthPixel],
     level: usize,
 ) -> ReferenceLevel {
     let image = pyramid.level(level);
     let mut cells = vec![Cell::default(); image.width()];
     let mut points = ReferenceLevel::with_capacity(samples.len() >> level);
-    let row_of = |sample: &DepthSample| usize::from(sample.y) >> level;
+    let row_of = |sample: &DepthPixel| usize::from(sample.y) >> level;
     for row in samples.chunk_by(|a, b| row_of(a) == row_of(b)) {
         let y = row_of(&row[0]);
         // an odd last row or column has no pixel on the coarser level

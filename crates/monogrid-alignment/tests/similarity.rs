@@ -3,7 +3,7 @@
 mod plane;
 
 use monogrid_alignment::{
-    DepthSample, Disagreement, KeyframeView, Robust, SimilarityConfig, SimilarityState,
+    DepthPixel, Disagreement, KeyframeView, Robust, SimilarityConfig, SimilarityState,
     SimilarityWeighting, align_reciprocally, align_similarity, linearize_similarity,
 };
 use monogrid_geometry::{Se3, Sim3, Vec6, Vec7};
@@ -11,7 +11,7 @@ use monogrid_image::{GrayImage, Pyramid};
 use plane::{PINHOLE, render, samples};
 
 /// A keyframe whose unit is `unit` world units.
-fn view(image: &GrayImage, samples: &[DepthSample]) -> KeyframeView {
+fn view(image: &GrayImage, samples: &[DepthPixel]) -> KeyframeView {
     let pyramid = Pyramid::new(image.clone(), 5);
     KeyframeView::new(&pyramid, &PINHOLE, samples, 0, 4)
 }

@@ -19,7 +19,6 @@ pub mod camera;
 pub mod config;
 pub mod input;
 pub mod keyframe_colours;
-pub mod keyframe_pixels;
 pub mod mapfile;
 pub mod output;
 pub mod recorded;

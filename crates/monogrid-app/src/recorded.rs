@@ -1,7 +1,6 @@
 //! A recording ready to be mapped: keyframes, the camera, and the frame their poses are brought to.
 
 use crate::config::RunConfig;
-use crate::keyframe_pixels::from_recorded;
 use crate::process::failure::Failure;
 use crate::run::align::{Align, MapFrame, Scene};
 use crate::run::sensed::SensedFrame;
@@ -189,13 +188,11 @@ pub fn by_camera<T>(
     let mut made: Vec<(u32, T)> = Vec::with_capacity(keyframes.len());
     for camera in cameras_of(keyframes) {
         let same = || keyframes.iter().filter(|k| k.camera == camera);
-        let pixels: Vec<_> = same().map(|k| from_recorded(&k.pixels)).collect();
         let posed: Vec<PosedKeyframe> = same()
-            .zip(&pixels)
-            .map(|(keyframe, pixels)| PosedKeyframe {
+            .map(|keyframe| PosedKeyframe {
                 id: keyframe.id,
                 image: keyframe.image.as_ref().map(ImageOf::Held),
-                depth: DepthOf::Held(pixels),
+                depth: DepthOf::Held(&keyframe.pixels),
                 world_from_keyframe: keyframe.world_from_keyframe,
             })
             .collect();

@@ -1,6 +1,6 @@
 //! Where the first depth of a keyframe comes from.
 
-use crate::PixelDepth;
+use crate::DepthPixel;
 use crate::map::{DepthMap, Hypothesis};
 use monogrid_geometry::Rng;
 use monogrid_image::GrayImage;
@@ -69,7 +69,7 @@ impl DepthMap {
     /// Sets one pixel, for starts that bring their own depth (triangulated points); `false` when it
     /// is not a candidate or the values are not usable. Validity above `mature_validity` counts as
     /// confirmed.
-    pub fn seed_pixel(&mut self, pixel: &PixelDepth) -> bool {
+    pub fn seed_pixel(&mut self, pixel: &DepthPixel, validity: u8) -> bool {
         let (x, y) = (usize::from(pixel.x), usize::from(pixel.y));
         let (idepth, var) = (pixel.idepth, pixel.idepth_var);
         let usable = idepth.is_finite() && var > 0.0 && var.is_finite();
@@ -79,7 +79,7 @@ impl DepthMap {
                 idepth,
                 var,
                 prior_var: var,
-                validity: pixel.validity,
+                validity,
             };
             self.set(y * self.host.width() + x, seed);
         }
@@ -136,11 +136,7 @@ mod tests {
         };
         assert_eq!(start(1), start(1));
         assert_ne!(start(1), start(2));
-        assert!(
-            start(1)
-                .iter()
-                .all(|p| (0.5..1.5).contains(&p.idepth) && p.validity == 20)
-        );
+        assert!(start(1).iter().all(|p| (0.5..1.5).contains(&p.idepth)));
     }
 
     #[test]
@@ -161,13 +157,13 @@ mod tests {
     fn seeds_are_refused_off_the_candidates_and_when_not_finite() {
         let mut map = DepthMap::empty(host(), &DepthConfig::default());
         let mut is_seeded = |x, y, idepth| {
-            map.seed_pixel(&PixelDepth {
+            let pixel = DepthPixel {
                 x,
                 y,
                 idepth,
                 idepth_var: 0.01,
-                validity: 30,
-            })
+            };
+            map.seed_pixel(&pixel, 30)
         };
         assert!(is_seeded(31, 10, 0.7));
         assert!(!is_seeded(30, 10, 0.7));

@@ -2,7 +2,7 @@
 
 use crate::config::{DepthConfig, GradientSelection};
 use crate::stats::ObserveStats;
-use crate::{HostFrame, PixelDepth};
+use crate::{DepthPixel, HostFrame};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -192,17 +192,16 @@ impl DepthMap {
 
     /// The hypothesis of pixel `(x, y)`, honest and unsmoothed; `None` without one and outside the image.
     #[must_use]
-    pub fn at(&self, x: usize, y: usize) -> Option<PixelDepth> {
+    pub fn at(&self, x: usize, y: usize) -> Option<DepthPixel> {
         if x >= self.host.width() || y >= self.host.height() {
             return None;
         }
         let i = y * self.host.width() + x;
-        (self.arrays.var[i] > 0.0).then(|| PixelDepth {
+        (self.arrays.var[i] > 0.0).then(|| DepthPixel {
             x: x as u16,
             y: y as u16,
             idepth: self.arrays.idepth[i],
             idepth_var: self.arrays.var[i],
-            validity: self.arrays.validity[i],
         })
     }
 

@@ -110,7 +110,7 @@ impl DepthMap {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::PixelDepth;
+    use crate::DepthPixel;
     use monogrid_geometry::Pinhole;
     use monogrid_image::{GrayImage, Mask};
 
@@ -125,13 +125,13 @@ mod tests {
         let config = DepthConfig::default();
         let mut depth = DepthMap::empty(host(), &config);
         for (x, y) in [(10, 10), (20, 31), (50, 40), (33, 7)] {
-            assert!(depth.seed_pixel(&PixelDepth {
+            let pixel = DepthPixel {
                 x,
                 y,
                 idepth: 0.5 + f32::from(x) * 0.01,
                 idepth_var: 1e-3 * f32::from(y),
-                validity: x as u8,
-            }));
+            };
+            assert!(depth.seed_pixel(&pixel, x as u8));
         }
         let packed = depth.packed();
         assert_eq!(packed.num_known(), 4);
@@ -142,6 +142,7 @@ mod tests {
                 assert_eq!(depth.at(x, y), back.at(x, y));
             }
         }
+        assert_eq!(depth.arrays.validity, back.arrays.validity);
         let (a, b) = (&depth.arrays.prior_var, &back.arrays.prior_var);
         for (a, b) in a.iter().zip(b).filter(|(a, _)| a.is_finite()) {
             assert!((a / b - 1.0).abs() < 0.01, "{a} {b}");

@@ -1,21 +1,7 @@
 //! Reading the depth out.
 
 use crate::DepthMap;
-
-/// The depth of one pixel, for tracking and for publication.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PixelDepth {
-    /// Column, px.
-    pub x: u16,
-    /// Row, px.
-    pub y: u16,
-    /// Inverse depth, 1/u; positive.
-    pub idepth: f32,
-    /// Its variance, 1/u².
-    pub idepth_var: f32,
-    /// Confirmation by observations; grows with successes, 0 when never confirmed.
-    pub validity: u8,
-}
+use monogrid_image::DepthPixel;
 
 /// Which pixels are read out.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,7 +26,7 @@ impl Default for PixelFilter {
 
 impl DepthMap {
     /// The known pixels that pass `filter`, in row-major order.
-    pub fn pixels(&self, filter: PixelFilter) -> impl Iterator<Item = PixelDepth> + '_ {
+    pub fn pixels(&self, filter: PixelFilter) -> impl Iterator<Item = DepthPixel> + '_ {
         (0..self.host.height()).flat_map(move |y| {
             let row = self.candidates.row(y).iter();
             row.filter_map(move |&x| self.pixel(x, y, &filter))
@@ -48,26 +34,24 @@ impl DepthMap {
     }
 
     #[inline]
-    fn pixel(&self, x: u16, y: usize, filter: &PixelFilter) -> Option<PixelDepth> {
+    fn pixel(&self, x: u16, y: usize, filter: &PixelFilter) -> Option<DepthPixel> {
         let i = y * self.host.width() + usize::from(x);
         let (idepth, idepth_var) = if filter.smoothed {
             (self.smooth_idepth[i], self.smooth_var[i])
         } else {
             (self.arrays.idepth[i], self.arrays.var[i])
         };
-        let validity = self.arrays.validity[i];
         let max_sigma = filter.max_relative_sigma * idepth;
         let good = self.arrays.var[i] > 0.0
             && idepth_var > 0.0
             && idepth > 0.0
-            && validity >= filter.min_validity
+            && self.arrays.validity[i] >= filter.min_validity
             && idepth_var <= max_sigma * max_sigma;
-        good.then_some(PixelDepth {
+        good.then_some(DepthPixel {
             x,
             y: y as u16,
             idepth,
             idepth_var,
-            validity,
         })
     }
 }

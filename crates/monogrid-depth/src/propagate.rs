@@ -299,7 +299,8 @@ mod tests {
         let next = map.propagate(textured(), &Se3::identity(), &config);
         assert_eq!(next.num_known(), map.num_known());
         for p in next.pixels(crate::PixelFilter::default()) {
-            assert!((p.idepth - 0.9).abs() < 1e-6 && p.validity == 20);
+            let index = usize::from(p.y) * next.host.width() + usize::from(p.x);
+            assert!((p.idepth - 0.9).abs() < 1e-6 && next.arrays.validity[index] == 20);
             assert!(p.idepth_var < 1.2e-3 && p.idepth_var > 0.9e-3, "{p:?}");
         }
     }

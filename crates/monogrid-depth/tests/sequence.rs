@@ -161,7 +161,7 @@ fn smoothed_values_are_published_on_request() {
     };
     let (own, smooth) = (read(false), read(true));
     assert!(own.len() > 5_000 && smooth.len() > 5_000);
-    let mean_var = |pixels: &[monogrid_depth::PixelDepth]| {
+    let mean_var = |pixels: &[monogrid_depth::DepthPixel]| {
         pixels.iter().map(|p| f64::from(p.idepth_var)).sum::<f64>() / pixels.len() as f64
     };
     assert!(mean_var(&smooth) < mean_var(&own));

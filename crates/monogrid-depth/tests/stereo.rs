@@ -3,7 +3,7 @@
 mod world;
 
 use monogrid_depth::{
-    DepthConfig, DepthMap, ObserveStats, PixelDepth, PixelFilter, PixelOutcome, StereoFrame,
+    DepthConfig, DepthMap, DepthPixel, ObserveStats, PixelFilter, PixelOutcome, StereoFrame,
 };
 use monogrid_geometry::{Rotation, Se3, Vec3};
 use monogrid_image::GrayImage;
@@ -107,7 +107,7 @@ fn known_gain_and_bias_change_nothing() {
     assert!((q.bias - plain.bias).abs() < 1e-4, "{q:?} {plain:?}");
 }
 
-fn pixels(map: &DepthMap) -> Vec<PixelDepth> {
+fn pixels(map: &DepthMap) -> Vec<DepthPixel> {
     map.pixels(PixelFilter {
         min_validity: 0,
         ..PixelFilter::default()

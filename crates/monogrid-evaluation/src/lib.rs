@@ -18,8 +18,8 @@ mod trajectory;
 mod truth;
 
 pub use depth::{
-    DepthConfig, DepthError, DepthEstimate, DepthEvaluator, DepthReport, DepthShares,
-    KeyframeDepth, KeyframeDepthReport, NormalisedError,
+    DepthConfig, DepthError, DepthEvaluator, DepthReport, DepthShares, KeyframeDepth,
+    KeyframeDepthReport, NormalisedError,
 };
 pub use map::{
     Calibration, Contingency, MapEvaluationConfig, MapEvaluationError, MapEvaluator, MapReport,

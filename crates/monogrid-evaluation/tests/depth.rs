@@ -1,8 +1,7 @@
 //! Depth metrics on keyframes whose errors are known.
 
-use monogrid_evaluation::{
-    DepthConfig, DepthError, DepthEstimate, DepthEvaluator, DepthReport, KeyframeDepth,
-};
+use monogrid_evaluation::{DepthConfig, DepthError, DepthEvaluator, DepthReport, KeyframeDepth};
+use monogrid_image::DepthPixel;
 
 const WIDTH: usize = 80;
 const HEIGHT: usize = 60;
@@ -52,15 +51,15 @@ fn estimates(
     factor: f64,
     (sigma, reported): (f64, f64),
     random: &mut Random,
-) -> Vec<DepthEstimate> {
+) -> Vec<DepthPixel> {
     (0..WIDTH * HEIGHT)
         .map(|i| {
             let depth = f64::from(scene.depth[i]);
             let depth = if depth.is_finite() { depth } else { 1.0 };
             let idepth = factor * world_scale / depth;
-            DepthEstimate {
-                x_px: (i % WIDTH) as u32,
-                y_px: (i / WIDTH) as u32,
+            DepthPixel {
+                x: (i % WIDTH) as u16,
+                y: (i / WIDTH) as u16,
                 idepth: (idepth * (1.0 + sigma * random.normal())) as f32,
                 idepth_var: (idepth * reported).powi(2) as f32,
             }
@@ -72,7 +71,7 @@ fn keyframe<'a>(
     id: u64,
     scene: &'a Scene,
     world_scale: f64,
-    estimates: &'a [DepthEstimate],
+    estimates: &'a [DepthPixel],
 ) -> KeyframeDepth<'a> {
     KeyframeDepth {
         id,
@@ -165,8 +164,8 @@ fn drift_of_the_scale_shows_beside_the_shares_with_own_scale() {
 fn missing_and_negative_depth_counts_against_the_shares() {
     let scene = scene();
     let mut few = estimates(&scene, 1.0, 1.0, (0.0, 0.01), &mut Random(1));
-    few.retain(|e| e.x_px % 4 != 0);
-    for estimate in few.iter_mut().filter(|e| e.x_px % 4 == 1) {
+    few.retain(|e| e.x % 4 != 0);
+    for estimate in few.iter_mut().filter(|e| e.x % 4 == 1) {
         estimate.idepth = -estimate.idepth;
     }
     let shares = evaluate(&[keyframe(0, &scene, 1.0, &few)]).shares;
@@ -188,7 +187,7 @@ fn bad_input_is_named() {
         .add_keyframe(&keyframe(6, &scene, 1.0, &wrong))
         .expect_err("zero variance");
     assert!(
-        matches!(error, DepthError::Estimate { estimate, .. } if estimate.x_px == 7),
+        matches!(error, DepthError::Estimate { estimate, .. } if estimate.x == 7),
         "{error}"
     );
     assert!(matches!(evaluator.finish(), Err(DepthError::NoTruth(0))));
@@ -199,8 +198,8 @@ fn shares_of_all_pixels_count_those_without_texture_and_those_without_depth() {
     let scene = scene();
     let mut known = estimates(&scene, 1.0, 1.0, (0.0, 0.01), &mut Random(7));
     // every fourth pixel has no depth, and the rows of the lower half are 20 % off
-    known.retain(|e| e.x_px % 4 != 0);
-    for estimate in known.iter_mut().filter(|e| e.y_px >= 30) {
+    known.retain(|e| e.x % 4 != 0);
+    for estimate in known.iter_mut().filter(|e| e.y >= 30) {
         estimate.idepth *= 1.2;
     }
     let mut evaluator = DepthEvaluator::new(DepthConfig {

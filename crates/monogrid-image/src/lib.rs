@@ -5,6 +5,7 @@
 #![deny(missing_docs)]
 
 mod buffer;
+mod depth_pixel;
 mod gradient;
 pub mod lanes;
 mod photometric;
@@ -15,6 +16,7 @@ pub use buffer::{
     GrayImage, Image, Mask, Resize, bicubic, bilinear, bilinear_inside, luma_of_rgb, resize_area,
     resize_mask, to_gray8,
 };
+pub use depth_pixel::DepthPixel;
 pub use gradient::{GradientImage, max_gradient};
 pub use photometric::{Photometric, PhotometricError};
 pub use pyramid::{Pyramid, half_size, pyramid_intrinsics};

@@ -201,19 +201,13 @@ fn keyframes_of(
     let mut scans = Vec::new();
     for id in 0..count {
         let keyframe = &recorded[id % recorded.len()];
-        let pixels: Vec<DepthPixel> = keyframe
-            .pixels
-            .iter()
-            .map(|p| DepthPixel {
-                x: p.x,
-                y: p.y,
-                idepth: p.idepth,
-                idepth_var: p.idepth_var,
-            })
-            .collect();
         let image = keyframe.image.as_ref();
         scans.push(KeyframeScan::new(
-            id as u32, &pixels, image, &camera, config,
+            id as u32,
+            &keyframe.pixels,
+            image,
+            &camera,
+            config,
         ));
         let later = drift((id / recorded.len()) as f64 * 0.1);
         poses.push(keyframe.world_from_keyframe.unwrap() * later);

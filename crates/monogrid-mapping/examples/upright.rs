@@ -39,27 +39,13 @@ fn main() {
             width: recording.session.width,
             height: recording.session.height,
         };
-        let pixels: Vec<Vec<DepthPixel>> = recording
-            .keyframes
-            .iter()
-            .map(|keyframe| {
-                let of_pixel = |pixel: &monogrid_datasets::DepthPixel| DepthPixel {
-                    x: pixel.x,
-                    y: pixel.y,
-                    idepth: pixel.idepth,
-                    idepth_var: pixel.idepth_var,
-                };
-                keyframe.pixels.iter().map(of_pixel).collect()
-            })
-            .collect();
         let keyframes: Vec<PosedKeyframe> = recording
             .keyframes
             .iter()
-            .zip(&pixels)
-            .map(|(keyframe, pixels)| PosedKeyframe {
+            .map(|keyframe| PosedKeyframe {
                 id: keyframe.id,
                 image: keyframe.image.as_ref().map(ImageOf::Held),
-                depth: DepthOf::Held(pixels),
+                depth: DepthOf::Held(&keyframe.pixels),
                 world_from_keyframe: keyframe.world_from_keyframe,
             })
             .collect();

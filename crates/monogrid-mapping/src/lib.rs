@@ -48,7 +48,7 @@ pub use monogrid_geometry::z_up_from_camera_world;
 pub use monogrid_occupancy::{AndertForm, IntegrationRule, SigmaMode, ThrunForm};
 pub use monogrid_slam::KeyframeCamera;
 pub use planes::fill_plain_regions;
-pub use scene::{DepthOf, ImageOf, KeyframeScan, PosedKeyframe};
+pub use scene::{DepthOf, ImageOf, KeyframeScan, Measurements, PosedKeyframe};
 pub use schedule::{final_scans, final_scans_of};
 pub use settings::MAPPING;
 pub use stereo::refined_depths;

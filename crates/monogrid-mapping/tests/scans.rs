@@ -58,7 +58,7 @@ fn the_same_bits_for_any_number_of_threads_and_any_memory() {
             let slam = run(memory_mb, tempfile::tempfile().unwrap());
             let (mut text, done) = (String::new(), AtomicUsize::new(0));
             for scan in final_scans_of(&slam, &MappingConfig::default(), threads, &done) {
-                writeln!(text, "{} {:?}", scan.num_filled, &*scan.pixels()).unwrap();
+                writeln!(text, "{} {:?}", scan.num_filled, &**scan.pixels()).unwrap();
             }
             assert_eq!(done.into_inner(), slam.num_keyframes());
             text

@@ -2,7 +2,7 @@
 
 use crate::TrackingConfig;
 use crate::fault;
-use monogrid_alignment::DepthSample;
+use monogrid_alignment::DepthPixel;
 use monogrid_depth::{DepthConfig, DepthMap, FoundDepth, ObserveStats, PixelFilter, StereoFrame};
 use monogrid_geometry::Se3;
 use rayon::prelude::*;
@@ -75,26 +75,19 @@ pub(crate) fn regularize(depth: &mut DepthMap, config: &DepthConfig) {
 
 /// Points for tracking: hypotheses with at most the configured relative sigma; the limit doubles
 /// until enough remain or all are taken.
-pub(crate) fn tracking_samples(depth: &DepthMap, config: &TrackingConfig) -> Vec<DepthSample> {
+pub(crate) fn tracking_samples(depth: &DepthMap, config: &TrackingConfig) -> Vec<DepthPixel> {
     let filter = PixelFilter {
         min_validity: config.min_validity,
         smoothed: true,
         ..PixelFilter::default()
     };
-    let mut samples: Vec<DepthSample> = Vec::with_capacity(depth.num_candidates());
+    let mut samples: Vec<DepthPixel> = Vec::with_capacity(depth.num_candidates());
     // from within: to be asked for one after the other costs more than to be told of all
-    depth.pixels(filter).for_each(|p| {
-        samples.push(DepthSample {
-            x: p.x,
-            y: p.y,
-            idepth: p.idepth,
-            idepth_var: p.idepth_var,
-        });
-    });
+    depth.pixels(filter).for_each(|p| samples.push(p));
     let enough = MIN_REFERENCE_POINTS.min(samples.len());
     let mut limit = config.max_relative_sigma;
     while limit <= 4.0 {
-        let is_kept = |p: &DepthSample| p.idepth_var <= (limit * p.idepth).powi(2);
+        let is_kept = |p: &DepthPixel| p.idepth_var <= (limit * p.idepth).powi(2);
         if samples.iter().filter(|p| is_kept(p)).count() >= enough {
             samples.retain(is_kept);
             break;

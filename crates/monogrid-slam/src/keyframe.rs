@@ -4,10 +4,8 @@ use crate::store::{Kept, Store};
 use crate::view::KeyframeImage;
 use crate::{FragmentId, KeyframeId, MAIN_MAP};
 use monogrid_geometry::{Mat7, Pinhole, Se3, Sim3, Vec2};
+pub use monogrid_image::DepthPixel;
 use monogrid_image::Image;
-
-/// Published inverse depth of one keyframe pixel.
-pub type DepthPixel = monogrid_alignment::DepthSample;
 
 /// Camera of the keyframes.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -3,7 +3,7 @@
 use crate::KeyframeCamera;
 use crate::KeyframeId;
 use crate::store::{Kept, Store};
-use monogrid_alignment::DepthSample;
+use monogrid_alignment::DepthPixel;
 use monogrid_image::{GrayImage, Image, Pyramid, to_gray8};
 use std::sync::Arc;
 
@@ -54,7 +54,7 @@ pub(crate) struct View {
     pub camera: KeyframeCamera,
     pub image: KeyframeImage,
     /// Depth in the keyframe's units.
-    pub samples: Kept<Vec<DepthSample>>,
+    pub samples: Kept<Vec<DepthPixel>>,
     pub exposure: Exposure,
     /// Whether its shape and scale can be relied on: not so the first keyframes of a random start.
     pub is_settled: bool,

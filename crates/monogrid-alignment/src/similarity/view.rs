@@ -1,6 +1,6 @@
 //! A keyframe as both sides of an alignment need it.
 
-use crate::{DepthSample, Reference, ReferenceLevel, Target, TargetLevel};
+use crate::{DepthPixel, Reference, ReferenceLevel, Target, TargetLevel};
 use monogrid_geometry::Pinhole;
 use monogrid_image::Pyramid;
 use monogrid_image::lanes::{F32x8, Lanes};
@@ -69,7 +69,7 @@ impl KeyframeView {
     pub fn new(
         pyramid: &Pyramid,
         pinhole: &Pinhole,
-        samples: &[DepthSample],
+        samples: &[DepthPixel],
         finest: usize,
         coarsest: usize,
     ) -> Self {

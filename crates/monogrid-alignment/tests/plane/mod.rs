@@ -1,6 +1,6 @@
 //! A slanted plane with a smooth texture, seen by a pinhole camera: the world of the tests.
 
-use monogrid_alignment::DepthSample;
+use monogrid_alignment::DepthPixel;
 use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3};
 use monogrid_image::GrayImage;
 
@@ -44,11 +44,11 @@ pub fn render(camera_from_world: &Se3, gain: f64, bias: f64) -> (GrayImage, Gray
     (image, depth)
 }
 
-pub fn samples(depth: &GrayImage, step: usize, margin: usize) -> Vec<DepthSample> {
+pub fn samples(depth: &GrayImage, step: usize, margin: usize) -> Vec<DepthPixel> {
     let mut out = Vec::new();
     for y in (margin..240 - margin).step_by(step) {
         for x in (margin..320 - margin).step_by(step) {
-            out.push(DepthSample {
+            out.push(DepthPixel {
                 x: x as u16,
                 y: y as u16,
                 idepth: 1.0 / depth.at(x, y),

@@ -25,6 +25,7 @@ pub(crate) use format::{
 };
 
 use monogrid_geometry::{Pinhole, Sim3};
+pub use monogrid_image::DepthPixel;
 use monogrid_image::Image;
 
 /// Whether lengths are metres.
@@ -79,19 +80,6 @@ impl SessionInfo {
             height: self.height,
         }
     }
-}
-
-/// Inverse depth of one pixel of a keyframe, in the keyframe's own unit of length.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DepthPixel {
-    /// Column, px.
-    pub x: u16,
-    /// Row, px.
-    pub y: u16,
-    /// Inverse depth along the optical axis, 1 / (keyframe unit).
-    pub idepth: f32,
-    /// Variance of the inverse depth.
-    pub idepth_var: f32,
 }
 
 /// A keyframe when it is first recorded.

@@ -14,7 +14,7 @@ mod sweep;
 mod warp;
 mod winner;
 
-use crate::PixelDepth;
+use crate::DepthPixel;
 use crate::multi_view::SourceView;
 pub use agree::Witness;
 use monogrid_geometry::Pinhole;
@@ -88,7 +88,7 @@ impl DenseDepth {
 pub fn dense_depth(
     image: &Image<u8>,
     camera: &Pinhole,
-    seeds: &[PixelDepth],
+    seeds: &[DepthPixel],
     sources: &[SourceView],
     config: &DenseConfig,
 ) -> Option<DenseDepth> {
@@ -104,7 +104,7 @@ pub fn dense_depth(
 }
 
 /// The range of inverse depths that the seeds have, with room on both sides.
-fn range(seeds: &[PixelDepth]) -> Option<[f64; 2]> {
+fn range(seeds: &[DepthPixel]) -> Option<[f64; 2]> {
     let is_known = |d: &f32| *d > 0.0 && d.is_finite();
     let mut idepths: Vec<f32> = seeds.iter().map(|p| p.idepth).filter(is_known).collect();
     if idepths.len() < MIN_SEEDS {
@@ -118,7 +118,7 @@ fn range(seeds: &[PixelDepth]) -> Option<[f64; 2]> {
 /// Inverse depths of the planes; `None` without a source that sees the middle of the image.
 fn planes(
     image: &GrayImage,
-    seeds: &[PixelDepth],
+    seeds: &[DepthPixel],
     sources: &[Source],
     config: &DenseConfig,
 ) -> Option<Vec<f32>> {

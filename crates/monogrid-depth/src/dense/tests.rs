@@ -37,14 +37,13 @@ fn picture(eye_x: f64, has_square: bool) -> Image<u8> {
 }
 
 /// Depths over the range of the scene.
-fn seeds() -> Vec<PixelDepth> {
+fn seeds() -> Vec<DepthPixel> {
     (0..200)
-        .map(|i| PixelDepth {
+        .map(|i| DepthPixel {
             x: 0,
             y: 0,
             idepth: 1.0 / (1.2 + 0.007 * i as f32),
             idepth_var: 1e-4,
-            validity: 0,
         })
         .collect()
 }

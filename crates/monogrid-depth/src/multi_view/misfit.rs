@@ -7,7 +7,7 @@
 use super::search::{NOISE_CONTRAST, Patch, Search, center, dot, norm};
 use super::sight::{Projected, SAMPLES, Sight};
 use super::{MultiViewConfig, SourceView};
-use crate::PixelDepth;
+use crate::DepthPixel;
 use monogrid_geometry::Pinhole;
 use monogrid_image::lanes::Lanes;
 use monogrid_image::{Image, for_lanes};
@@ -32,14 +32,14 @@ const ITERATIONS: usize = 4;
 pub fn epipolar_misfits(
     image: &Image<u8>,
     camera: &Pinhole,
-    pixels: &[PixelDepth],
+    pixels: &[DepthPixel],
     sources: &[SourceView],
     config: &MultiViewConfig,
 ) -> Vec<f32> {
     let projections = Projected::of_sources(image, camera, sources);
     let mut search = Search::new(image, &projections, config);
     let chosen =
-        |p: &&PixelDepth| (u32::from(p.x) * 7 + u32::from(p.y) * 13).is_multiple_of(STRIDE);
+        |p: &&DepthPixel| (u32::from(p.x) * 7 + u32::from(p.y) * 13).is_multiple_of(STRIDE);
     let mut found = Vec::new();
     for pixel in pixels.iter().filter(chosen) {
         // also tells pixels at the border from those that have neighbours

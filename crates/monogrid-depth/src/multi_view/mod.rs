@@ -21,7 +21,7 @@ mod sight;
 
 pub use misfit::epipolar_misfits;
 
-use crate::PixelDepth;
+use crate::DepthPixel;
 use monogrid_geometry::{Pinhole, Sim3};
 use monogrid_image::Image;
 use sight::Projected;
@@ -68,15 +68,15 @@ impl Default for MultiViewConfig {
 pub fn refine_depth(
     image: &Image<u8>,
     camera: &Pinhole,
-    pixels: &[PixelDepth],
+    pixels: &[DepthPixel],
     sources: &[SourceView],
     config: &MultiViewConfig,
-) -> (Vec<PixelDepth>, usize) {
+) -> (Vec<DepthPixel>, usize) {
     let projections = Projected::of_sources(image, camera, sources);
     let mut search = search::Search::new(image, &projections, config);
-    let is_first = |p: &PixelDepth| !config.interpolate || (p.x ^ p.y).is_multiple_of(2);
+    let is_first = |p: &DepthPixel| !config.interpolate || (p.x ^ p.y).is_multiple_of(2);
     let mut refine_first = |p| if is_first(p) { search.refine(p) } else { None };
-    let mut refined: Vec<Option<PixelDepth>> = pixels.iter().map(&mut refine_first).collect();
+    let mut refined: Vec<Option<DepthPixel>> = pixels.iter().map(&mut refine_first).collect();
     let first = Raster::new(image, &refined);
     for (pixel, refined) in pixels.iter().zip(&mut refined) {
         if !is_first(pixel) {
@@ -96,7 +96,7 @@ struct Raster {
 }
 
 impl Raster {
-    fn new(image: &Image<u8>, refined: &[Option<PixelDepth>]) -> Self {
+    fn new(image: &Image<u8>, refined: &[Option<DepthPixel>]) -> Self {
         let width = image.width();
         let mut depths = vec![[0.0; 2]; width * image.height()];
         for pixel in refined.iter().flatten() {
@@ -110,7 +110,7 @@ impl Raster {
 
     /// The mean of two or more of the four neighbours, if all of them and the pixel itself agree
     /// within two standard deviations. Neighbours share their errors: its variance is theirs.
-    fn mean_around(&self, pixel: &PixelDepth) -> Option<PixelDepth> {
+    fn mean_around(&self, pixel: &DepthPixel) -> Option<DepthPixel> {
         let index = usize::from(pixel.y) * self.width + usize::from(pixel.x);
         let around = [
             index.checked_sub(self.width),
@@ -132,7 +132,7 @@ impl Raster {
         (idepth, variance) = (idepth / count, variance / count);
         let agree = (highest - lowest).powi(2) <= 4.0 * 2.0 * variance
             && (idepth - pixel.idepth).powi(2) <= 4.0 * (variance + pixel.idepth_var);
-        (count >= 2.0 && agree).then_some(PixelDepth {
+        (count >= 2.0 && agree).then_some(DepthPixel {
             idepth,
             idepth_var: variance,
             ..*pixel

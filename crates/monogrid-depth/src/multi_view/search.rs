@@ -2,7 +2,7 @@
 
 use super::MultiViewConfig;
 use super::sight::{PATTERN, Projected, SAMPLES, Sight};
-use crate::PixelDepth;
+use crate::DepthPixel;
 use monogrid_image::lanes::Lanes;
 use monogrid_image::{Image, for_lanes};
 
@@ -85,7 +85,7 @@ impl<'a> Search<'a> {
     }
 
     /// A better depth of a pixel; `None` where fewer than two sources see it or agree.
-    pub fn refine(&mut self, pixel: &PixelDepth) -> Option<PixelDepth> {
+    pub fn refine(&mut self, pixel: &DepthPixel) -> Option<DepthPixel> {
         let patch = Patch::around(self.image, pixel)?;
         self.find_sights(pixel)?;
         let (idepth, variance) = self.confirm(pixel, &patch).or_else(|| {
@@ -98,7 +98,7 @@ impl<'a> Search<'a> {
 
     /// Finds the sources that see the pixel with the largest disparity; `None` if there are not
     /// two.
-    pub fn find_sights(&mut self, pixel: &PixelDepth) -> Option<()> {
+    pub fn find_sights(&mut self, pixel: &DepthPixel) -> Option<()> {
         let direction = gradient_direction(self.image, pixel)?;
         let at = [f64::from(pixel.x), f64::from(pixel.y)];
         let idepth = f64::from(pixel.idepth);
@@ -114,14 +114,14 @@ impl<'a> Search<'a> {
     }
 
     /// Most depths are right to within a pixel, and all sources say so: these need no search.
-    fn confirm(&self, pixel: &PixelDepth, patch: &Patch) -> Option<(f64, f64)> {
+    fn confirm(&self, pixel: &DepthPixel, patch: &Patch) -> Option<(f64, f64)> {
         let reach = CONFIRMED_PX / self.sights.first()?.disparity;
         self.iterate(pixel.idepth.into(), reach, self.sights.len(), patch)
     }
 
     /// The best correlation around the present depth, over the sources of the smallest disparity:
     /// the inverse depth and the relative step of the search. `None` at the ends of the range.
-    fn best_of_range(&self, pixel: &PixelDepth, patch: &Patch) -> Option<(f64, f64)> {
+    fn best_of_range(&self, pixel: &DepthPixel, patch: &Patch) -> Option<(f64, f64)> {
         let idepth = f64::from(pixel.idepth);
         let sigma = f64::from(pixel.idepth_var).sqrt() / idepth;
         let range = (SEARCH_SIGMAS * sigma).clamp(MIN_SEARCH, MAX_SEARCH);
@@ -189,7 +189,7 @@ impl Normal {
 
 impl Patch {
     /// `None` at the border of the image, without contrast, or without depth.
-    pub fn around(image: &Image<u8>, pixel: &PixelDepth) -> Option<Self> {
+    pub fn around(image: &Image<u8>, pixel: &DepthPixel) -> Option<Self> {
         let (x, y) = (i32::from(pixel.x), i32::from(pixel.y));
         let (width, height) = (image.width() as i32, image.height() as i32);
         let is_inside = x >= 2 && y >= 2 && x < width - 2 && y < height - 2;
@@ -221,7 +221,7 @@ impl Patch {
 
 /// What was known before with what the sources say, or the latter alone where they contradict each
 /// other.
-fn fused(before: &PixelDepth, idepth: f64, variance: f64) -> PixelDepth {
+fn fused(before: &DepthPixel, idepth: f64, variance: f64) -> DepthPixel {
     let (prior, prior_variance) = (f64::from(before.idepth), f64::from(before.idepth_var));
     let gap_sq = (prior - idepth).powi(2);
     let (idepth, variance) = if gap_sq <= MAX_GAP_SIGMAS.powi(2) * (prior_variance + variance) {
@@ -230,7 +230,7 @@ fn fused(before: &PixelDepth, idepth: f64, variance: f64) -> PixelDepth {
     } else {
         (idepth, variance)
     };
-    PixelDepth {
+    DepthPixel {
         idepth: idepth as f32,
         idepth_var: variance as f32,
         ..*before
@@ -344,7 +344,7 @@ pub(super) fn dot(a: &[f32; SAMPLES], b: &[f32; SAMPLES]) -> f32 {
 }
 
 /// Unit vector of the gradient at a pixel that is not at the border; `None` without one.
-fn gradient_direction(image: &Image<u8>, pixel: &PixelDepth) -> Option<[f64; 2]> {
+fn gradient_direction(image: &Image<u8>, pixel: &DepthPixel) -> Option<[f64; 2]> {
     let (x, y) = (usize::from(pixel.x), usize::from(pixel.y));
     let row = image.row(y);
     let dx = f64::from(row[x + 1]) - f64::from(row[x - 1]);

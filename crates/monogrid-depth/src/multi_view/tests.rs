@@ -67,24 +67,23 @@ fn poses() -> Vec<Sim3> {
 }
 
 /// Depths of the wall that are wrong by `error`, relatively, with the deviation `sigma`.
-fn depths(sigma: f64, error: impl Fn(usize, usize) -> f64) -> Vec<PixelDepth> {
+fn depths(sigma: f64, error: impl Fn(usize, usize) -> f64) -> Vec<DepthPixel> {
     let mut pixels = Vec::new();
     for y in 3..HEIGHT {
         for x in 3..WIDTH {
             let idepth = wall(x as f64, y as f64) * (1.0 + error(x, y));
-            pixels.push(PixelDepth {
+            pixels.push(DepthPixel {
                 x: x as u16,
                 y: y as u16,
                 idepth: idepth as f32,
                 idepth_var: (sigma * idepth).powi(2) as f32,
-                validity: 20,
             });
         }
     }
     pixels
 }
 
-fn relative_error(p: &PixelDepth) -> f64 {
+fn relative_error(p: &DepthPixel) -> f64 {
     f64::from(p.idepth) / wall(p.x.into(), p.y.into()) - 1.0
 }
 
@@ -97,11 +96,11 @@ fn sources<'a>(images: &'a [Image<u8>], poses: &[Sim3]) -> Vec<SourceView<'a>> {
 }
 
 fn refined(
-    pixels: &[PixelDepth],
+    pixels: &[DepthPixel],
     images: &[Image<u8>],
     poses: &[Sim3],
     config: &MultiViewConfig,
-) -> (Vec<PixelDepth>, usize) {
+) -> (Vec<DepthPixel>, usize) {
     let keyframe = view(&Sim3::identity(), 1.0, 0.0);
     let sources = sources(images, poses);
     refine_depth(&keyframe, &camera(), pixels, &sources, config)
@@ -130,7 +129,7 @@ fn wrong_depths_become_right_whatever_the_exposure_and_the_unit() {
     let (refined, count) = refined(&pixels, &images, &poses, &MultiViewConfig::default());
     assert_eq!(refined.len(), pixels.len());
     assert!(5 * count > 2 * pixels.len(), "{count} of {}", pixels.len());
-    let changed: Vec<&PixelDepth> = refined
+    let changed: Vec<&DepthPixel> = refined
         .iter()
         .zip(&pixels)
         .filter(|(after, before)| after != before)
@@ -147,10 +146,7 @@ fn wrong_depths_become_right_whatever_the_exposure_and_the_unit() {
     });
     assert!(10 * within_2_sigma.count() > 9 * count);
     for (after, before) in refined.iter().zip(&pixels) {
-        assert_eq!(
-            (after.x, after.y, after.validity),
-            (before.x, before.y, before.validity)
-        );
+        assert_eq!((after.x, after.y), (before.x, before.y));
     }
 }
 
@@ -175,7 +171,7 @@ fn pixels_between_refined_ones_take_their_mean_where_it_is_flat() {
         }
     }
     assert!(4 * num_means > count_half);
-    let error = |refined: &[PixelDepth]| {
+    let error = |refined: &[DepthPixel]| {
         let changed = refined.iter().zip(&pixels).filter(|(a, b)| a != b);
         median(changed.map(|(a, _)| relative_error(a).abs()).collect())
     };
@@ -219,7 +215,7 @@ fn what_no_two_sources_agree_about_stays_as_it_was() {
     let (same, count) = refine_depth(&plain, &camera(), &pixels, &sources, &config);
     assert!(count == 0 && same == pixels);
     // no depth, depth at the border, an image of another size
-    let odd = [f32::NAN, -1.0, 0.5].map(|idepth| PixelDepth {
+    let odd = [f32::NAN, -1.0, 0.5].map(|idepth| DepthPixel {
         x: 0,
         y: 1,
         idepth,

@@ -1,9 +1,10 @@
 //! A tiny renderer for tests: the inside of a textured room with boxes, exact depth and pose.
 #![allow(dead_code)]
 
-use monogrid_depth::{DepthMap, HostFrame, PixelDepth};
+use monogrid_depth::{DepthMap, DepthPixel, HostFrame, PixelFilter};
 use monogrid_geometry::{Pinhole, Rotation, Se3, Vec2, Vec3};
 use monogrid_image::{GrayImage, Mask};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Metres per unit of length: the typical depth of the room, so that inverse depths are about 1.
@@ -223,6 +224,12 @@ pub fn median(values: &mut [f64]) -> f64 {
 pub fn quality(map: &DepthMap, depth: &GrayImage, min_validity: u8) -> Quality {
     let (w, h) = (depth.width(), depth.height());
     let gradient = map.host().gradient.magnitude();
+    let filter = PixelFilter {
+        min_validity,
+        ..PixelFilter::default()
+    };
+    let place = |p: DepthPixel| ((usize::from(p.x), usize::from(p.y)), p);
+    let known: BTreeMap<(usize, usize), DepthPixel> = map.pixels(filter).map(place).collect();
     let (mut textured, mut close, mut gross) = (0usize, 0usize, 0usize);
     let (mut relative, mut normal) = (Vec::new(), Vec::new());
     for y in 0..h {
@@ -231,11 +238,9 @@ pub fn quality(map: &DepthMap, depth: &GrayImage, min_validity: u8) -> Quality {
                 continue;
             }
             textured += 1;
-            let Some(PixelDepth {
+            let Some(DepthPixel {
                 idepth, idepth_var, ..
-            }) = map
-                .at(x, y)
-                .filter(|known| known.validity >= min_validity && known.idepth > 0.0)
+            }) = known.get(&(x, y))
             else {
                 continue;
             };

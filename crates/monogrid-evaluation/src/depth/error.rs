@@ -1,6 +1,6 @@
 //! What can be wrong with the input of the depth evaluation.
 
-use super::DepthEstimate;
+use monogrid_image::DepthPixel;
 
 /// Why depth could not be evaluated.
 #[derive(Debug, thiserror::Error, Clone, PartialEq)]
@@ -24,7 +24,7 @@ pub enum DepthError {
     #[error(
         "keyframe {id}: the estimate at ({}, {}) lies outside {width}x{height} or its \
          inverse depth {} or variance {} is not usable",
-        .estimate.x_px, .estimate.y_px, .estimate.idepth, .estimate.idepth_var
+        .estimate.x, .estimate.y, .estimate.idepth, .estimate.idepth_var
     )]
     Estimate {
         /// The keyframe.
@@ -34,7 +34,7 @@ pub enum DepthError {
         /// Rows of the image.
         height: usize,
         /// What was found.
-        estimate: DepthEstimate,
+        estimate: DepthPixel,
     },
     /// The keyframe's scale is not a positive number.
     #[error("keyframe {id}: scale {scale} is not a positive number")]

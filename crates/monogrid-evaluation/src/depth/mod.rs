@@ -9,20 +9,8 @@ mod error;
 pub use error::DepthError;
 
 use crate::statistics::{median, median_of_many, robust_deviation_of_many};
+use monogrid_image::DepthPixel;
 use serde::Serialize;
-
-/// Estimated depth of one pixel of a keyframe.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DepthEstimate {
-    /// Column of the pixel.
-    pub x_px: u32,
-    /// Row of the pixel.
-    pub y_px: u32,
-    /// Inverse depth (along the optical axis), 1/u of the keyframe.
-    pub idepth: f32,
-    /// Its variance, 1/u².
-    pub idepth_var: f32,
-}
 
 /// One keyframe with its truth; images are row-major, `width * height` long.
 #[derive(Clone, Copy, Debug)]
@@ -34,7 +22,7 @@ pub struct KeyframeDepth<'a> {
     /// Rows of the images.
     pub height: usize,
     /// What was estimated, at most once per pixel.
-    pub estimates: &'a [DepthEstimate],
+    pub estimates: &'a [DepthPixel],
     /// Length of the keyframe's unit in world units (the scale of its Sim(3)).
     pub world_scale: f64,
     /// True depth along the optical axis; not finite or not positive where unknown.
@@ -239,8 +227,8 @@ impl DepthEvaluator {
         let gradient_pixels = pixels
             .filter(|(depth, gradient)| is_known(**depth) && has_gradient(**gradient))
             .count();
-        let compare = |estimate: &DepthEstimate| {
-            let index = estimate.y_px as usize * keyframe.width + estimate.x_px as usize;
+        let compare = |estimate: &DepthPixel| {
+            let index = usize::from(estimate.y) * keyframe.width + usize::from(estimate.x);
             let true_depth = keyframe.true_depth[index];
             let is_textured = has_gradient(keyframe.gradient[index]);
             is_known(true_depth).then_some(Kept {
@@ -328,9 +316,9 @@ fn check(keyframe: &KeyframeDepth) -> Result<(), DepthError> {
     if !(scale > 0.0 && scale.is_finite()) {
         return Err(DepthError::Scale { id, scale });
     }
-    let is_good = |e: &DepthEstimate| {
-        (e.x_px as usize) < width
-            && (e.y_px as usize) < height
+    let is_good = |e: &DepthPixel| {
+        usize::from(e.x) < width
+            && usize::from(e.y) < height
             && e.idepth.is_finite()
             && e.idepth_var.is_finite()
             && e.idepth_var > 0.0

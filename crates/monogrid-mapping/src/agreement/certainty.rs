@@ -9,7 +9,6 @@
 use crate::scene::{DepthImage, Depths, KeptDepths, Scene, View, for_each_keyframe};
 use monogrid_geometry::median::median;
 use monogrid_occupancy::DepthPixel as Measurement;
-use std::sync::Arc;
 
 /// How much farther the truth is than another keyframe, for each px that patches are off across their epipolar lines (robust deviation). The middle of
 /// the errors alone would have 3.4 to 5.3 in six rendered sequences, of which one has a rolling shutter and one blur as well, and two real ones with a
@@ -66,7 +65,7 @@ impl Certainty {
             let depths = &scene.views[index].as_ref()?.depths;
             let witnesses = scene.witnesses(index, MAX_WITNESSES).into_iter();
             Some(Compared {
-                sampled: depths.kinds().map(sampled),
+                sampled: depths.kinds().map(|kind| sampled(&kind)),
                 witnesses: witnesses.map(|(other, _)| other).collect(),
             })
         });
@@ -149,7 +148,7 @@ struct Compared {
     witnesses: Vec<usize>,
 }
 
-fn sampled(pixels: Arc<Vec<Measurement>>) -> Vec<Measurement> {
+fn sampled(pixels: &[Measurement]) -> Vec<Measurement> {
     pixels.iter().step_by(STRIDE).copied().collect()
 }
 

@@ -63,7 +63,7 @@ pub(super) fn continued(
         config,
     };
     let [measured, filled] = view.depths.kinds();
-    let plain = Regions::new(&image, measured.iter().chain(&*filled));
+    let plain = Regions::new(&image, measured.iter().chain(filled.iter()));
     let mut shown = DepthImage::new(camera);
     shown.show(measured.iter().copied());
     shown.show(filled.iter().copied());

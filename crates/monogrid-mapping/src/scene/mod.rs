@@ -11,7 +11,7 @@ pub(crate) use each::for_each_keyframe;
 pub(crate) use image::DepthImage;
 pub use posed::{DepthOf, ImageOf, PosedKeyframe};
 pub(crate) use posed::{Neighbour, Scene};
-pub use scan::KeyframeScan;
 pub(crate) use scan::{Depths, KeptDepths, measurement};
+pub use scan::{KeyframeScan, Measurements};
 pub(crate) use transfer::{Seen, Transfer, at_or};
 pub(crate) use view::{View, probes};

@@ -3,8 +3,43 @@
 use crate::KeyframeCamera;
 use monogrid_occupancy::DepthPixel as Measurement;
 use monogrid_slam::KeyframeId;
-use monogrid_slam::store::{Kept, Store};
+use monogrid_slam::store::{Keepable, Kept, Measured, Store, pack_pixels, unpack_pixels};
+use std::ops::Deref;
 use std::sync::Arc;
+
+/// Measurements that are kept where there is room.
+#[derive(Debug, Default, PartialEq)]
+pub struct Measurements(Vec<Measurement>);
+
+impl Deref for Measurements {
+    type Target = [Measurement];
+
+    fn deref(&self) -> &[Measurement] {
+        &self.0
+    }
+}
+
+impl Measured for Measurements {
+    fn bytes(&self) -> usize {
+        self.0.capacity() * size_of::<Measurement>()
+    }
+}
+
+impl Keepable for Measurements {
+    fn pack(&self) -> Vec<u8> {
+        pack_pixels(self.iter().map(|p| (p.x, p.y, p.idepth, p.sigma_idepth)))
+    }
+
+    fn unpack(bytes: &[u8]) -> Option<Self> {
+        let pixel = |(x, y, idepth, sigma_idepth)| Measurement {
+            x,
+            y,
+            idepth,
+            sigma_idepth,
+        };
+        unpack_pixels(bytes, pixel).map(Self)
+    }
+}
 
 /// What of a keyframe is mapped; its measurements are where there is room
 /// ([`monogrid_slam::Slam::spill_into`]), or in memory.
@@ -18,7 +53,7 @@ pub struct KeyframeScan {
     pub num_pixels: usize,
     /// How many of them were not measured, but filled in between ([`super::fill_plain_regions`]).
     pub num_filled: usize,
-    pixels: Kept<Vec<Measurement>>,
+    pixels: Kept<Measurements>,
 }
 
 impl PartialEq for KeyframeScan {
@@ -54,7 +89,7 @@ impl KeyframeScan {
             camera,
             num_pixels: pixels.len(),
             num_filled,
-            pixels: store.keep(pixels),
+            pixels: store.keep(Measurements(pixels)),
         }
     }
 
@@ -70,7 +105,7 @@ impl KeyframeScan {
     /// none where they cannot be read back, which is an error in the end
     /// ([`monogrid_slam::Slam::check_spilled`]).
     #[must_use]
-    pub fn pixels(&self) -> Arc<Vec<Measurement>> {
+    pub fn pixels(&self) -> Arc<Measurements> {
         self.pixels.get().unwrap_or_default()
     }
 }
@@ -119,15 +154,15 @@ impl Depths {
 /// [`Depths`] where there is room.
 #[derive(Clone, Debug)]
 pub(crate) struct KeptDepths {
-    measured: Kept<Vec<Measurement>>,
-    filled: Kept<Vec<Measurement>>,
+    measured: Kept<Measurements>,
+    filled: Kept<Measurements>,
 }
 
 impl KeptDepths {
     pub fn new(store: &Store, depths: Depths) -> Self {
         Self {
-            measured: store.keep(depths.measured),
-            filled: store.keep(depths.filled),
+            measured: store.keep(Measurements(depths.measured)),
+            filled: store.keep(Measurements(depths.filled)),
         }
     }
 
@@ -144,12 +179,12 @@ impl KeptDepths {
 
     /// What was measured, and what was filled in; none where it cannot be read back, which is an
     /// error in the end ([`monogrid_slam::Slam::check_spilled`]).
-    pub fn kinds(&self) -> [Arc<Vec<Measurement>>; 2] {
+    pub fn kinds(&self) -> [Arc<Measurements>; 2] {
         [self.measured.get().unwrap_or_default(), self.filled()]
     }
 
     /// What was filled in.
-    pub fn filled(&self) -> Arc<Vec<Measurement>> {
+    pub fn filled(&self) -> Arc<Measurements> {
         self.filled.get().unwrap_or_default()
     }
 }

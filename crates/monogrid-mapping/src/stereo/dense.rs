@@ -1,7 +1,7 @@
 //! Dense depth of the keyframes at the final poses: stereo with the keyframes that see the same
 //! from beside, then what these confirm of it, then one list of depths with those of the filter.
 
-use super::refine::{seeds, source_views};
+use super::refine::source_views;
 use crate::KeyframeCamera;
 use crate::scene::{DepthImage, Neighbour, Scene};
 use monogrid_depth::{DenseDepth, Witness, dense_depth};
@@ -54,7 +54,7 @@ pub(crate) fn stereo(scene: &Scene, index: usize) -> Option<DenseDepth> {
     dense_depth(
         &*keyframe.image()?,
         &scene.camera.pinhole,
-        &seeds(&keyframe.depth.get()),
+        &keyframe.depth.get(),
         &source_views(&near),
         &config.stereo,
     )

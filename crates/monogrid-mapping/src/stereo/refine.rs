@@ -2,7 +2,7 @@
 
 use crate::scene::{Neighbour, PosedKeyframe, Scene, for_each_keyframe};
 use crate::{KeyframeCamera, MappingConfig, RefineConfig};
-use monogrid_depth::{PixelDepth, SourceView, epipolar_misfits, refine_depth};
+use monogrid_depth::{SourceView, epipolar_misfits, refine_depth};
 use monogrid_geometry::Sim3;
 use monogrid_geometry::median::median;
 use monogrid_image::Image;
@@ -57,27 +57,9 @@ pub(crate) fn refined<'a>(
     let near = scene.sources(&near(scene, index), config.max_keyframes);
     let sources = source_views(&near);
     let (pinhole, stereo) = (&scene.camera.pinhole, &config.stereo);
-    let (refined, _) = refine_depth(&image, pinhole, &seeds(&pixels), &sources, stereo);
+    let (refined, _) = refine_depth(&image, pinhole, &pixels, &sources, stereo);
     let misfits = epipolar_misfits(&image, pinhole, &refined, &sources, stereo);
-    let pixel = |pixel: PixelDepth| DepthPixel {
-        x: pixel.x,
-        y: pixel.y,
-        idepth: pixel.idepth,
-        idepth_var: pixel.idepth_var,
-    };
-    (refined.into_iter().map(pixel).collect(), misfits)
-}
-
-/// Depth as stereo takes it.
-pub(crate) fn seeds(pixels: &[DepthPixel]) -> Vec<PixelDepth> {
-    let seed = |pixel: &DepthPixel| PixelDepth {
-        x: pixel.x,
-        y: pixel.y,
-        idepth: pixel.idepth,
-        idepth_var: pixel.idepth_var,
-        validity: 0,
-    };
-    pixels.iter().map(seed).collect()
+    (refined.into(), misfits)
 }
 
 /// Images, with `source_from_keyframe`, as stereo takes them.

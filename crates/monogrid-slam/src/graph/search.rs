@@ -4,7 +4,7 @@ use super::GraphConfig;
 use crate::KeyframeCamera;
 use crate::KeyframeId;
 use crate::view::View;
-use monogrid_alignment::DepthSample;
+use monogrid_alignment::DepthPixel;
 use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 use std::sync::Arc;
 
@@ -31,7 +31,7 @@ pub(super) struct Probes {
 }
 
 impl Probes {
-    pub(super) fn new(samples: &[DepthSample], pinhole: &Pinhole) -> Self {
+    pub(super) fn new(samples: &[DepthPixel], pinhole: &Pinhole) -> Self {
         let stride = samples.len().div_ceil(NUM_PROBES).max(1);
         let points = samples.iter().step_by(stride).filter_map(|sample| {
             let pixel = Vec2::new(f64::from(sample.x), f64::from(sample.y));

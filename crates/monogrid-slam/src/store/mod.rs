@@ -23,7 +23,7 @@ mod shelves;
 mod tests;
 
 use self::packed::pack_any;
-pub use self::packed::{Keepable, Measured};
+pub use self::packed::{Keepable, Measured, PackedPixel, pack_pixels, unpack_pixels};
 use self::shelves::Shelves;
 pub use self::shelves::SpillError;
 pub use self::shelves::StoreBytes;

@@ -1,11 +1,9 @@
 //! Values as they are written to the file.
 
 use super::Kept;
-use monogrid_alignment::DepthSample;
 use monogrid_depth::{DenseDepth, PackedDepth};
 use monogrid_features::{KeptCorners, PlaceCorners};
-use monogrid_image::{Image, Pyramid};
-use monogrid_occupancy::DepthPixel as Measurement;
+use monogrid_image::{DepthPixel, Image, Pyramid};
 use std::any::Any;
 use std::sync::Arc;
 
@@ -31,80 +29,56 @@ pub(super) fn pack_any<T: Keepable>(value: &(dyn Any + Send + Sync)) -> Option<V
 }
 
 /// A pixel as it is written: column, row and two numbers.
-type Packed = (u16, u16, f32, f32);
+pub type PackedPixel = (u16, u16, f32, f32);
 
 /// Bytes of a pixel.
 const PIXEL: usize = 12;
 
-/// A pixel of which many are kept together, row-major.
-pub trait Pixel: Copy + Send + Sync + 'static {
-    /// As it is written.
-    fn packed(self) -> Packed;
-
-    /// The pixel that was written.
-    fn unpacked(packed: Packed) -> Self;
+/// Pixels as bytes.
+pub fn pack_pixels(pixels: impl ExactSizeIterator<Item = PackedPixel>) -> Vec<u8> {
+    let mut bytes = vec![0; PIXEL * pixels.len()];
+    let to = bytes.as_chunks_mut::<PIXEL>().0.iter_mut();
+    for (to, (x, y, first, second)) in to.zip(pixels) {
+        to[..2].copy_from_slice(&x.to_le_bytes());
+        to[2..4].copy_from_slice(&y.to_le_bytes());
+        to[4..8].copy_from_slice(&first.to_le_bytes());
+        to[8..].copy_from_slice(&second.to_le_bytes());
+    }
+    bytes
 }
 
-impl<T: Pixel> Keepable for Vec<T> {
+/// The pixels of these bytes; `None` where one is not whole.
+pub fn unpack_pixels<T>(bytes: &[u8], of_packed: impl Fn(PackedPixel) -> T) -> Option<Vec<T>> {
+    let (pixels, rest) = bytes.as_chunks::<PIXEL>();
+    let pixel = |[a, b, c, d, e, f, g, h, i, j, k, l]: &[u8; PIXEL]| {
+        of_packed((
+            u16::from_le_bytes([*a, *b]),
+            u16::from_le_bytes([*c, *d]),
+            f32::from_le_bytes([*e, *f, *g, *h]),
+            f32::from_le_bytes([*i, *j, *k, *l]),
+        ))
+    };
+    rest.is_empty().then(|| pixels.iter().map(pixel).collect())
+}
+
+impl Keepable for Vec<DepthPixel> {
     fn pack(&self) -> Vec<u8> {
-        let mut bytes = vec![0; PIXEL * self.len()];
-        for (to, pixel) in bytes.as_chunks_mut::<PIXEL>().0.iter_mut().zip(self) {
-            let (x, y, first, second) = pixel.packed();
-            to[..2].copy_from_slice(&x.to_le_bytes());
-            to[2..4].copy_from_slice(&y.to_le_bytes());
-            to[4..8].copy_from_slice(&first.to_le_bytes());
-            to[8..].copy_from_slice(&second.to_le_bytes());
-        }
-        bytes
+        pack_pixels(self.iter().map(|p| (p.x, p.y, p.idepth, p.idepth_var)))
     }
 
     fn unpack(bytes: &[u8]) -> Option<Self> {
-        let (pixels, rest) = bytes.as_chunks::<PIXEL>();
-        let pixel = |[a, b, c, d, e, f, g, h, i, j, k, l]: &[u8; PIXEL]| {
-            T::unpacked((
-                u16::from_le_bytes([*a, *b]),
-                u16::from_le_bytes([*c, *d]),
-                f32::from_le_bytes([*e, *f, *g, *h]),
-                f32::from_le_bytes([*i, *j, *k, *l]),
-            ))
-        };
-        rest.is_empty().then(|| pixels.iter().map(pixel).collect())
-    }
-}
-
-impl<T: Pixel> Measured for Vec<T> {
-    fn bytes(&self) -> usize {
-        self.capacity() * size_of::<T>()
-    }
-}
-
-impl Pixel for Measurement {
-    fn packed(self) -> Packed {
-        (self.x, self.y, self.idepth, self.sigma_idepth)
-    }
-
-    fn unpacked((x, y, idepth, sigma_idepth): Packed) -> Self {
-        Self {
-            x,
-            y,
-            idepth,
-            sigma_idepth,
-        }
-    }
-}
-
-impl Pixel for DepthSample {
-    fn packed(self) -> Packed {
-        (self.x, self.y, self.idepth, self.idepth_var)
-    }
-
-    fn unpacked((x, y, idepth, idepth_var): Packed) -> Self {
-        Self {
+        unpack_pixels(bytes, |(x, y, idepth, idepth_var)| DepthPixel {
             x,
             y,
             idepth,
             idepth_var,
-        }
+        })
+    }
+}
+
+impl Measured for Vec<DepthPixel> {
+    fn bytes(&self) -> usize {
+        self.capacity() * size_of::<DepthPixel>()
     }
 }
 

@@ -8,8 +8,8 @@ use crate::frame::Frame;
 use crate::map::{Map, MapKeyframe};
 use crate::setup::Setup;
 use crate::{Keyframe, KeyframeId};
-use monogrid_alignment::{Alignment, DepthSample, Motion};
-use monogrid_depth::{DepthMap, MATURE_VALIDITY, PackedDepth, PixelDepth, StereoFrame};
+use monogrid_alignment::{Alignment, DepthPixel, Motion};
+use monogrid_depth::{DepthMap, MATURE_VALIDITY, PackedDepth, StereoFrame};
 use monogrid_geometry::{Mat6, Se3};
 use monogrid_image::{GrayImage, Pyramid};
 use std::sync::Arc;
@@ -59,7 +59,7 @@ impl DepthStage {
         setup: &Setup,
         frame: &Frame,
         alignment: &Alignment,
-    ) -> Option<Vec<DepthSample>> {
+    ) -> Option<Vec<DepthPixel>> {
         let depth = self.depth.as_mut()?;
         self.num_refined += 1;
         let (pose_sigma_trans, pose_sigma_rot) = pose_sigmas(alignment.covariance.as_ref());
@@ -165,17 +165,11 @@ pub(super) fn unpacked(
 pub(super) fn sampled_depth(
     setup: &Setup,
     image: GrayImage,
-    samples: &[DepthSample],
+    samples: &[DepthPixel],
 ) -> Option<DepthMap> {
     let mut depth = DepthMap::empty(setup.host(image)?, &setup.config.depth);
     for sample in samples {
-        depth.seed_pixel(&PixelDepth {
-            x: sample.x,
-            y: sample.y,
-            idepth: sample.idepth,
-            idepth_var: sample.idepth_var,
-            validity: MATURE_VALIDITY,
-        });
+        depth.seed_pixel(sample, MATURE_VALIDITY);
     }
     Some(depth)
 }
@@ -191,13 +185,12 @@ pub(super) fn published_depth(setup: &Setup, keyframe: &Keyframe) -> Option<Dept
         // it
         let shared = (publication.relative_sigma * pixel.idepth).powi(2);
         let own = (pixel.idepth_var - shared).max(0.1 * pixel.idepth_var);
-        depth.seed_pixel(&PixelDepth {
-            x: pixel.x,
-            y: pixel.y,
-            idepth: pixel.idepth,
-            idepth_var: own / publication.sigma_factor.powi(2),
-            validity,
-        });
+        let idepth_var = own / publication.sigma_factor.powi(2);
+        let seed = DepthPixel {
+            idepth_var,
+            ..*pixel
+        };
+        depth.seed_pixel(&seed, validity);
     }
     regularize(&mut depth, config);
     Some(depth)

@@ -174,11 +174,9 @@ fn publish(
     let mut pixels: Vec<DepthPixel> = depth
         .pixels(filter)
         .map(|p| DepthPixel {
-            x: p.x,
-            y: p.y,
-            idepth: p.idepth,
             idepth_var: p.idepth_var * publication.sigma_factor.powi(2)
                 + (publication.relative_sigma * p.idepth).powi(2),
+            ..p
         })
         .collect();
     pixels.shrink_to_fit();

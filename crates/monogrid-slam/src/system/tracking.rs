@@ -9,7 +9,7 @@ use crate::policy::{Demand, demand};
 use crate::setup::Setup;
 use crate::tracker::{MotionPrior, PointMap, Task, Tracked, extrapolate, is_convincing};
 use crate::{KeyframeId, LostReason, TrackingState};
-use monogrid_alignment::{DepthSample, Motion, Reference};
+use monogrid_alignment::{DepthPixel, Motion, Reference};
 use monogrid_geometry::{Rotation, Se3, Vec3};
 use monogrid_image::Pyramid;
 use std::sync::Arc;
@@ -41,7 +41,7 @@ impl Active {
         setup: &Setup,
         id: KeyframeId,
         pyramid: Arc<Pyramid>,
-        samples: &[DepthSample],
+        samples: &[DepthPixel],
     ) -> Self {
         Self {
             id,
@@ -116,7 +116,7 @@ impl Tracker {
     }
 
     /// The depth of the keyframe in use was refined.
-    pub(super) fn follow_depth(&mut self, setup: &Setup, samples: &[DepthSample]) {
+    pub(super) fn follow_depth(&mut self, setup: &Setup, samples: &[DepthPixel]) {
         if let Some(Active { id, pyramid, .. }) = self.active.take() {
             self.active = Some(Active::new(setup, id, pyramid, samples));
         }
@@ -246,7 +246,7 @@ fn turned(frame_from_last: &Se3, turn: Rotation) -> Se3 {
 pub(super) fn track_on_other(
     setup: &Setup,
     keyframe: &Pyramid,
-    samples: &[DepthSample],
+    samples: &[DepthPixel],
     frame: &Frame,
     predicted: Motion,
 ) -> Tracked {
@@ -259,7 +259,7 @@ pub(super) fn track_on_other(
 }
 
 /// The points of a keyframe that frames are tracked on.
-pub(super) fn reference(setup: &Setup, keyframe: &Pyramid, samples: &[DepthSample]) -> Reference {
+pub(super) fn reference(setup: &Setup, keyframe: &Pyramid, samples: &[DepthPixel]) -> Reference {
     let levels = &setup.config.tracking.alignment;
     let (finest, coarsest) = (levels.finest_level, levels.coarsest_level);
     Reference::new(keyframe, &setup.pinhole, samples, finest, coarsest)

@@ -1,6 +1,5 @@
 //! Maps as a recording holds them and as the library takes them.
 
-use crate::keyframe_pixels::from_recorded;
 use crate::process::failure::Failure;
 use monogrid_datasets::{
     Continuation, KeyframeLink, RecordedEdge, RecordedFrame, RecordedKeyframe, RecordedPoint,
@@ -77,7 +76,7 @@ fn keyframe(recorded: &RecordedKeyframe) -> Option<Keyframe> {
         timestamp_ns: recorded.timestamp_ns,
         revision: recorded.depth_revision,
         image: recorded.image.clone()?,
-        pixels: from_recorded(&recorded.pixels),
+        pixels: recorded.pixels.clone(),
     })
 }
 

@@ -4,7 +4,6 @@
 //! byte for byte, or another one.
 
 use crate::keyframe_colours::ColourSource;
-use crate::keyframe_pixels::to_recorded;
 use crate::output::{Content, OutputFolder};
 use crate::process::failure::{Classify, Failure};
 use crate::process::memory;
@@ -149,7 +148,7 @@ pub fn keyframe_record(keyframe: &Keyframe, camera: Option<RecordedCamera>) -> K
         timestamp_ns: keyframe.timestamp_ns,
         camera,
         image: Some(keyframe.image.clone()),
-        pixels: to_recorded(&keyframe.pixels),
+        pixels: keyframe.pixels.clone(),
     }
 }
 
@@ -158,7 +157,7 @@ pub fn depth_revision(keyframe: &Keyframe) -> DepthRevision {
     DepthRevision {
         keyframe_id: keyframe.id,
         revision: keyframe.revision,
-        pixels: to_recorded(&keyframe.pixels),
+        pixels: keyframe.pixels.clone(),
     }
 }
 

@@ -8,7 +8,6 @@ use clap::{Args, ValueEnum};
 use monogrid_app::args::{JsonArg, Profile};
 use monogrid_app::config::RunConfig;
 use monogrid_app::input::depth_images::{depth_calibration, registered_depth};
-use monogrid_app::keyframe_pixels::{from_recorded, to_estimates};
 use monogrid_app::output::{Inputs, OutputFile};
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
 use monogrid_app::recorded::{by_camera, cameras_of, scans_of};
@@ -252,7 +251,7 @@ pub fn add_keyframe(
         id: u64::from(id),
         width: image.width(),
         height: image.height(),
-        estimates: &to_estimates(pixels),
+        estimates: pixels,
         world_scale,
         true_depth: true_depth.as_slice(),
         gradient: gradient.as_slice(),
@@ -270,7 +269,7 @@ fn depths(
         return mapped_depths(recording, args);
     }
     if !args.refined {
-        return Ok(keyframes.iter().map(|k| from_recorded(&k.pixels)).collect());
+        return Ok(keyframes.iter().map(|k| k.pixels.clone()).collect());
     }
     let config = RunConfig::recorded_mapping(&recording.session.config)
         .map_or_else(RefineConfig::default, |config| config.mapping.refine);

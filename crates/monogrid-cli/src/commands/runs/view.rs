@@ -3,7 +3,6 @@
 use crate::commands::left_out;
 use clap::Args;
 use monogrid_app::args::WriteArgs;
-use monogrid_app::keyframe_pixels::from_recorded;
 use monogrid_app::mapfile;
 use monogrid_app::output::{Inputs, OutputFile};
 use monogrid_app::process::failure::{Classify, CommandResult, Failure, Outcome};
@@ -254,7 +253,7 @@ fn of_recording(source: &Path) -> Result<(Scene, Vec<Cube>), Failure> {
             map_from_keyframe: pose,
             pinhole: keyframe.camera.pinhole,
             image: keyframe.image.as_ref().map(ImageOf::Held),
-            semi_dense: SemiDense::recorded(*id, camera, &from_recorded(&keyframe.pixels)),
+            semi_dense: SemiDense::recorded(*id, camera, &keyframe.pixels),
         })
     });
     let posed: Vec<ShownKeyframe> = posed.collect();

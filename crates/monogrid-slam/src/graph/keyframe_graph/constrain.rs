@@ -6,7 +6,7 @@ use crate::graph::job::{EdgeKind, OdometryEdge, Relocalised};
 use crate::graph::search::{Candidate, Entry, Probes, choose};
 use crate::view::View;
 use monogrid_alignment::{
-    DepthSample, KeyframeView, SimilarityConstraint, SimilarityState, align_reciprocally,
+    DepthPixel, KeyframeView, SimilarityConstraint, SimilarityState, align_reciprocally,
 };
 use monogrid_features::{DepthLookup, InverseDepth, LoopMatch};
 use monogrid_geometry::Sim3;
@@ -36,7 +36,7 @@ impl KeyframeGraph {
     }
 
     /// Remembers a keyframe by its appearance.
-    fn remember(&mut self, view: &View, samples: &[DepthSample]) {
+    fn remember(&mut self, view: &View, samples: &[DepthPixel]) {
         if !self.config.places.enabled {
             return;
         }

@@ -11,7 +11,7 @@ use crate::graph::job::OdometryEdge;
 use crate::store::Store;
 use crate::test_world::small_demo;
 use crate::view::{Exposure, KeyframeImage};
-use monogrid_alignment::{DepthSample, SimilarityConstraint};
+use monogrid_alignment::{DepthPixel, SimilarityConstraint};
 use monogrid_geometry::{Mat6, Mat7, Sim3, Vec7};
 use monogrid_image::Mask;
 use monogrid_worlds::SynthSequence;
@@ -41,7 +41,7 @@ pub(super) fn keyframes(
                     let idepth = unit / z;
                     let idepth_var = (0.01 * idepth).powi(2);
                     let (x, y) = (x as u16, y as u16);
-                    samples.push(DepthSample {
+                    samples.push(DepthPixel {
                         x,
                         y,
                         idepth,

@@ -10,7 +10,7 @@ use crate::store::Store;
 use crate::test_world::small_demo;
 use crate::view::{KeyframeImage, View};
 use crate::{PoseSnapshot, SlamConfig};
-use monogrid_alignment::DepthSample;
+use monogrid_alignment::DepthPixel;
 use monogrid_geometry::{Pinhole, Vec7};
 use monogrid_image::GrayImage;
 use std::sync::Arc;
@@ -29,7 +29,7 @@ fn cut(view: &View) -> View {
     let samples = samples.iter().filter_map(|sample| {
         let x = usize::from(sample.x).checked_sub(left)?;
         let y = usize::from(sample.y).checked_sub(top)?;
-        (x < width).then_some(DepthSample {
+        (x < width).then_some(DepthPixel {
             x: x as u16,
             y: y as u16,
             ..*sample
