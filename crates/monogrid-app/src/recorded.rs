@@ -68,7 +68,6 @@ impl Recorded {
                     &recording.keyframes,
                     scans.get_or_init(|| scans_of(&recording.keyframes, &mapping, 1)),
                 ),
-                config: &mapping.upright,
             });
         if let Some(reason) = align_failure {
             return Err(Failure::input(reason));

@@ -49,7 +49,7 @@ pub use dense::{DenseConfig, DenseDepth, Witness, dense_depth};
 pub use host::HostFrame;
 pub use map::{DepthMap, FoundDepth};
 pub use monogrid_image::DepthPixel;
-pub use multi_view::{MultiViewConfig, SourceView, epipolar_misfits, refine_depth};
+pub use multi_view::{MultiViewConfig, SourceView, refine_depth};
 pub use observe::{DepthBand, StereoFrame};
 pub use packed::PackedDepth;
 pub use pixels::PixelFilter;

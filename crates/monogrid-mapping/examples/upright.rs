@@ -62,7 +62,7 @@ fn main() {
                 })
             })
             .collect();
-        let found = upright(&views, &config.upright);
+        let found = upright(&views);
         let seconds = started.elapsed().as_secs_f64();
         println!("{path}: {found:?}, {seconds:.2} s");
     }
@@ -189,7 +189,7 @@ fn judge(keyframes: &[Rendered], pinhole: &Pinhole) -> (Upright, f64, f64) {
             world_from_keyframe: (first_from_world * k.world_from_camera).with_scale(1.0),
         })
         .collect();
-    let found = upright(&views, &config.upright).unwrap();
+    let found = upright(&views).unwrap();
     let up = first_from_world.rotation * Vec3::z();
     let off_deg = up.angle(&found.up_in_world).to_degrees();
     // the floor of the worlds is at z = 0

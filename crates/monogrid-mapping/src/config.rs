@@ -1,13 +1,12 @@
 //! Settings of mapping, as they stand in the section `[mapping]` of a configuration file.
 
-use monogrid_depth::{DenseConfig, MultiViewConfig};
+use monogrid_depth::DenseConfig;
 use monogrid_occupancy::{
     AndertForm, Buffer, IntegrationRule, MapConfig, SensorModel, SigmaMode, Significance, ThrunForm,
 };
 use monogrid_slam::ConfigError;
 use monogrid_slam::settings::{SettingValue, other};
 use serde::{Deserialize, Serialize};
-use std::borrow::Cow;
 use toml::Value;
 
 /// Significance k of the model `andert` where it is automatic, cells.
@@ -31,23 +30,56 @@ pub enum SensorModelKind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MapQuality {
-    /// The depth of the filter, refined.
+    /// The depth of the filter as it is.
+    Raw,
+    /// The depth of the filter, refined at the final poses, each depth fused with those of other
+    /// keyframes that agree.
     Fast,
-    /// And dense depth, depth from other keyframes, and large planes beyond what was measured: more
-    /// of the surfaces and of the free space, for four times the work.
+    /// Dense depth in place of the refinement, depth from other keyframes, and large planes beyond
+    /// what was measured: more of the surfaces and of the free space, for four times the work.
     #[serde(alias = "dense")]
     Default,
-    /// The same with finer planes and more keyframes beside each
-    /// ([`MappingConfig::at_its_quality`]): still more of the surfaces, for twice the work of
-    /// `default`.
+    /// The same with finer planes and more keyframes beside each: still more of the surfaces, for
+    /// twice the work of `default`.
     Best,
+}
+
+/// How many others the depth of a keyframe is compared with, and how finely.
+#[derive(Clone, Debug)]
+pub(crate) struct Effort {
+    /// Keyframes that its image is matched with.
+    pub max_sources: usize,
+    /// Keyframes whose dense depth must confirm its own.
+    pub max_confirming: usize,
+    /// Keyframes that its depth is fused with, and that it takes depth from where it has none.
+    pub max_witnesses: usize,
+    pub stereo: DenseConfig,
 }
 
 impl MapQuality {
     /// Whether keyframes get dense depth.
     #[must_use]
     pub fn has_dense_depth(self) -> bool {
-        self != Self::Fast
+        matches!(self, Self::Default | Self::Best)
+    }
+
+    /// In five recordings more of the surfaces was found by all of `best` together (docs/studies.md,
+    /// *Quality best*); single parts took some away.
+    pub(crate) fn effort(self) -> Effort {
+        let mut stereo = DenseConfig::default();
+        if self == Self::Best {
+            (stereo.max_planes, stereo.step_px) = (160, 0.5);
+        }
+        let [max_sources, max_confirming, max_witnesses] = match self {
+            Self::Best => [6, 16, 32],
+            _ => [4, 8, 16],
+        };
+        Effort {
+            max_sources,
+            max_confirming,
+            max_witnesses,
+            stereo,
+        }
     }
 }
 
@@ -84,10 +116,6 @@ pub struct DepthFilterConfig {
     /// measurement beyond it smears its surface along the ray (in the demo world 3.6 times the true
     /// number of occupied cells at 0.1, 1.4 times at 0.035).
     pub max_relative_sigma: f64,
-    /// Largest relative standard deviation of all depth of final maps, once the agreement of
-    /// keyframes has set it. Measured: with more than 0.035 walls of real recordings get thicker,
-    /// with less fewer of the surfaces are observed.
-    pub(crate) max_agreed_sigma: f64,
     /// Measurements among the 3x3 pixels around one (itself included) that must agree with it
     /// within two standard deviations; 0 and 1 keep all. Default 6: against 4, MCC rises from 0.71
     /// to 0.72 in the demo world.
@@ -100,68 +128,22 @@ impl Default for DepthFilterConfig {
     fn default() -> Self {
         Self {
             max_relative_sigma: 0.035,
-            max_agreed_sigma: 0.035,
             min_support: 6,
             skip_keyframes: 0,
         }
     }
 }
 
-/// How the depth of keyframes becomes better when the poses are known in the end.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RefineConfig {
-    /// Whether the final map has it.
-    pub enabled: bool,
-    /// Keyframes that one is compared with, the nearest.
-    pub(crate) max_keyframes: usize,
-    /// How pixels are compared.
-    pub stereo: MultiViewConfig,
-}
-
-impl Default for RefineConfig {
-    fn default() -> Self {
-        Self {
-            enabled: true,
-            max_keyframes: 8,
-            stereo: MultiViewConfig::default(),
-        }
-    }
-}
-
-/// How all pixels of keyframes get depth when the poses are known in the end (quality `default`).
+/// Dense depth (quality `default`).
 #[derive(Clone, Debug, PartialEq)]
 pub struct DenseMappingConfig {
-    /// Keyframes that a keyframe is matched with.
-    pub(crate) max_sources: usize,
-    /// Keyframes whose dense depth must confirm it.
-    pub(crate) max_witnesses: usize,
     /// Whether maps that are read while they grow get it too, a few keyframes later.
     pub live: bool,
-    /// How pixels are matched and confirmed.
-    pub stereo: DenseConfig,
 }
 
 impl Default for DenseMappingConfig {
     fn default() -> Self {
-        Self {
-            max_sources: 4,
-            max_witnesses: 8,
-            live: true,
-            stereo: DenseConfig::default(),
-        }
-    }
-}
-
-/// How the depths of keyframes that see the same become one.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FusionConfig {
-    /// Other keyframes whose depth the depth of each is fused with in final maps; 0: none.
-    pub(crate) max_witnesses: usize,
-}
-
-impl Default for FusionConfig {
-    fn default() -> Self {
-        Self { max_witnesses: 16 }
+        Self { live: true }
     }
 }
 
@@ -178,82 +160,16 @@ impl Default for FillConfig {
     }
 }
 
-/// Depth where a keyframe has none, from keyframes that see the same.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CompletionConfig {
-    /// Other keyframes whose depth each takes over in final maps where it has none itself; 0: none.
-    pub(crate) max_witnesses: usize,
-    /// Keyframes that must have a depth.
-    pub(crate) min_support: usize,
-    /// Keyframes that see through it, for each that has it, at most.
-    pub(crate) max_against: f64,
-    /// Largest difference of brightness to most of them, grey levels. Default 10: what is taken
-    /// over in office is right to 3 % in 89 % of the pixels without this limit and in 93 % with it.
-    pub(crate) max_difference: f64,
-}
-
-impl Default for CompletionConfig {
-    fn default() -> Self {
-        Self {
-            max_witnesses: 16,
-            min_support: 2,
-            max_against: 0.25,
-            max_difference: 10.0,
-        }
-    }
-}
-
 /// Depth on large planes, and these planes beyond what was measured of them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanesConfig {
     /// Large planes around each keyframe in final maps, at most; 0: none.
     pub max_count: usize,
-    /// Relative standard deviation of the inverse depth of a large plane, with which depth that
-    /// agrees with it is averaged; 0: depth stays as it is.
-    pub(crate) relative_sigma: f64,
 }
 
 impl Default for PlanesConfig {
     fn default() -> Self {
-        Self {
-            max_count: 12,
-            relative_sigma: 0.006,
-        }
-    }
-}
-
-/// How up and the floor are found.
-#[derive(Clone, Debug, PartialEq)]
-pub struct UprightConfig {
-    /// Standard deviation of the roll of a hand-held camera, mean over a run, degrees. Default 20.
-    /// Range [1, 180].
-    pub roll_sigma_deg: f64,
-    /// Mean pitch of a hand-held camera, degrees: people look down rather than up. Default -15.
-    /// Range [-90, 90].
-    pub pitch_deg: f64,
-    /// Its standard deviation, degrees. Default 35. Range [1, 180].
-    pub pitch_sigma_deg: f64,
-    /// Shortest straight edge that votes, as a share of the image's width. Default 0.06. Range
-    /// [0.01, 1].
-    pub min_edge: f64,
-    /// Least confidence at which the scene, and not the first camera, says what is up. Default 0.2.
-    /// Range [0, 1].
-    pub min_confidence: f64,
-    /// Least share of the floor among all level planes seen from above; other things than the floor
-    /// are seen more. Default 0.05. Range [0.001, 1].
-    pub min_floor_share: f64,
-}
-
-impl Default for UprightConfig {
-    fn default() -> Self {
-        Self {
-            roll_sigma_deg: 20.0,
-            pitch_deg: -15.0,
-            pitch_sigma_deg: 35.0,
-            min_edge: 0.06,
-            min_confidence: 0.2,
-            min_floor_share: 0.05,
-        }
+        Self { max_count: 12 }
     }
 }
 
@@ -262,10 +178,7 @@ impl Default for UprightConfig {
 /// Lengths are in map units: metres where the scale is known.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MappingConfig {
-    /// How much is done for the depth of final maps: `fast` refines the depth of the filter,
-    /// `default` makes depth of all pixels beside it and completes it (`dense`, `completion`,
-    /// `planes`), for four times the work; `best` does so with at least 160 planes half a pixel
-    /// apart, 6 sources and twice the witnesses, for eight times.
+    /// How much is done for the depth of final maps.
     pub quality: MapQuality,
     /// Edge of a cell.
     pub resolution: f64,
@@ -276,17 +189,12 @@ pub struct MappingConfig {
     /// Inverse sensor model.
     pub sensor_model: SensorModelKind,
     /// Thickness L of the occupied band of `ideal` and `thrun`, or `"auto"`: the larger of the way
-    /// through the cells of the surface (a cell's diagonal, or `band_by_slope`) and `buffer_sigmas`
+    /// through the cells of the surface (by rule `fused` as many as the slope of the surface needs, else a cell's diagonal) and `buffer_sigmas`
     /// standard deviations.
     pub buffer: AutoLength,
     /// Thickness in standard deviations where `buffer` is automatic (below 0.861, a hit is evidence
     /// against the obstacle). Default 1.7; docs/sensor-parameters.md derives it.
     pub buffer_sigmas: f64,
-    /// Whether, with rule `fused` and an automatic `buffer`, the band is at least as long along
-    /// each line of sight as the cells that the surface passes through there, by its slope in the
-    /// image, instead of a cell's diagonal: walls that are looked at straight get thinner, floors
-    /// that are looked along more complete.
-    pub band_by_slope: bool,
     /// Form of the model `thrun`.
     pub thrun_form: ThrunForm,
     /// Significance k of the model `andert`, or `"auto"`: one cell.
@@ -325,9 +233,6 @@ pub struct MappingConfig {
     pub follow_threshold: f64,
     /// What is taken as the standard deviation of a range.
     pub sigma_mode: SigmaMode,
-    /// Whether standard deviations of depth are multiplied by what the disagreement of keyframes
-    /// says, in final maps.
-    pub sigma_from_agreement: bool,
     /// Standard deviation of a keyframe's position relative to its neighbours.
     pub pose_sigma: f64,
     /// Standard deviation of a keyframe's rotation relative to its neighbours, degrees.
@@ -343,18 +248,10 @@ pub struct MappingConfig {
     pub filter: DepthFilterConfig,
     /// Dense depth.
     pub dense: DenseMappingConfig,
-    /// Better depth at the final poses.
-    pub refine: RefineConfig,
-    /// One depth from several keyframes.
-    pub fusion: FusionConfig,
-    /// Depth from other keyframes.
-    pub completion: CompletionConfig,
     /// Depth of plain surfaces.
     pub fill: FillConfig,
     /// Depth on large planes, and these planes beyond what was measured of them.
     pub planes: PlanesConfig,
-    /// Up and the floor.
-    pub upright: UprightConfig,
     /// The surface as triangles.
     pub mesh: MeshConfig,
 }
@@ -386,7 +283,6 @@ impl Default for MappingConfig {
             sensor_model: SensorModelKind::Thrun,
             buffer: AutoLength::Auto,
             buffer_sigmas: 1.7,
-            band_by_slope: true,
             thrun_form: ThrunForm::Exact,
             significance: AutoLength::Auto,
             andert_p_min: 0.3,
@@ -401,7 +297,6 @@ impl Default for MappingConfig {
             local_radius: 3.0,
             follow_threshold: 1.0,
             sigma_mode: SigmaMode::Range,
-            sigma_from_agreement: true,
             pose_sigma: 0.01,
             pose_sigma_deg: 0.1,
             body_radius: AutoLength::Auto,
@@ -409,12 +304,8 @@ impl Default for MappingConfig {
             max_memory_gb: 1.5,
             filter: DepthFilterConfig::default(),
             dense: DenseMappingConfig::default(),
-            refine: RefineConfig::default(),
-            fusion: FusionConfig::default(),
-            completion: CompletionConfig::default(),
             fill: FillConfig::default(),
             planes: PlanesConfig::default(),
-            upright: UprightConfig::default(),
             mesh: MeshConfig::default(),
         }
     }
@@ -427,10 +318,9 @@ impl MappingConfig {
     pub fn thesis() -> Self {
         let certain = (1e-6f64 / (1.0 - 1e-6)).ln();
         Self {
-            quality: MapQuality::Fast,
+            quality: MapQuality::Raw,
             auto_resolution: false,
             buffer: AutoLength::Fixed(0.5),
-            band_by_slope: false,
             thrun_form: ThrunForm::Thesis,
             significance: AutoLength::Fixed(0.02),
             integration: IntegrationRule::Rays,
@@ -444,60 +334,15 @@ impl MappingConfig {
             pose_sigma: 0.0,
             pose_sigma_deg: 0.0,
             body_radius: AutoLength::Fixed(0.0),
-            sigma_from_agreement: false,
             filter: DepthFilterConfig {
                 max_relative_sigma: f64::INFINITY,
-                max_agreed_sigma: f64::INFINITY,
                 min_support: 0,
                 skip_keyframes: 0,
             },
-            refine: RefineConfig {
-                enabled: false,
-                ..RefineConfig::default()
-            },
-            fusion: FusionConfig { max_witnesses: 0 },
-            completion: CompletionConfig {
-                max_witnesses: 0,
-                ..CompletionConfig::default()
-            },
             fill: FillConfig { enabled: false },
-            planes: PlanesConfig {
-                max_count: 0,
-                ..PlanesConfig::default()
-            },
+            planes: PlanesConfig { max_count: 0 },
             ..Self::default()
         }
-    }
-
-    /// With what its quality asks for: `best` raises what its depth is compared with, where less is
-    /// set; nothing else changes.
-    ///
-    /// In five recordings more of the surfaces was found by all of it together (docs/studies.md,
-    /// *Quality best*); single parts took some away.
-    #[must_use]
-    pub fn at_its_quality(&self) -> Cow<'_, Self> {
-        if self.quality != MapQuality::Best {
-            return Cow::Borrowed(self);
-        }
-        let mut best = self.clone();
-        let raise = |value: &mut usize, least: usize| *value = (*value).max(least);
-        let dense = &mut best.dense;
-        raise(&mut dense.max_sources, 6);
-        raise(&mut dense.max_witnesses, 16);
-        raise(&mut dense.stereo.max_planes, 160);
-        dense.stereo.step_px = dense.stereo.step_px.min(0.5);
-        raise(&mut best.refine.max_keyframes, 16);
-        raise(&mut best.refine.stereo.max_sources, 8);
-        best.refine.stereo.interpolate = false;
-        // 0 is without them
-        let witnesses = [
-            &mut best.fusion.max_witnesses,
-            &mut best.completion.max_witnesses,
-        ];
-        for count in witnesses.into_iter().filter(|count| **count > 0) {
-            raise(count, 32);
-        }
-        Cow::Owned(best)
     }
 
     /// Checks the ranges documented on the fields.
@@ -572,35 +417,15 @@ mod tests {
     }
 
     #[test]
-    fn best_raises_what_depth_is_compared_with_and_nothing_else() {
-        let of = |quality| MappingConfig {
-            quality,
-            ..MappingConfig::default()
-        };
-        for quality in [MapQuality::Fast, MapQuality::Default] {
-            assert_eq!(*of(quality).at_its_quality(), of(quality));
-        }
-        let mut config = of(MapQuality::Best);
-        config.dense.max_sources = 9;
-        config.fusion.max_witnesses = 0;
-        let best = config.at_its_quality();
-        best.validate().unwrap();
-        let stereo = &best.dense.stereo;
-        assert_eq!((stereo.max_planes, stereo.step_px), (160, 0.5));
-        assert_eq!((best.dense.max_sources, best.dense.max_witnesses), (9, 16));
-        assert!(best.fusion.max_witnesses == 0 && best.completion.max_witnesses == 32);
-        assert!(!best.refine.stereo.interpolate && best.refine.stereo.max_sources == 8);
-        assert_eq!(best.refine.max_keyframes, 16);
-        let back = MappingConfig {
-            dense: config.dense.clone(),
-            refine: config.refine.clone(),
-            fusion: config.fusion,
-            completion: config.completion.clone(),
-            ..best.clone().into_owned()
-        };
-        assert_eq!(back, config);
-        // a second time changes nothing
-        assert_eq!(*best.at_its_quality(), *best);
+    fn best_compares_with_more_and_more_finely() {
+        let [fast, default, best] =
+            [MapQuality::Fast, MapQuality::Default, MapQuality::Best].map(MapQuality::effort);
+        assert_eq!(fast.max_witnesses, default.max_witnesses);
+        assert!(best.max_sources > default.max_sources);
+        assert!(best.max_confirming > default.max_confirming);
+        assert!(best.max_witnesses > default.max_witnesses);
+        assert!(best.stereo.max_planes > default.stereo.max_planes);
+        assert!(best.stereo.step_px < default.stereo.step_px);
     }
 
     #[test]

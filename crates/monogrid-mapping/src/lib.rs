@@ -35,13 +35,12 @@ mod stereo;
 mod test_wall;
 
 pub use config::{
-    AutoLength, CompletionConfig, DenseMappingConfig, DepthFilterConfig, FillConfig, FusionConfig,
-    MapQuality, MappingConfig, MeshConfig, PlanesConfig, RefineConfig, SensorModelKind,
-    UprightConfig,
+    AutoLength, DenseMappingConfig, DepthFilterConfig, FillConfig, MapQuality, MappingConfig,
+    MeshConfig, PlanesConfig, SensorModelKind,
 };
 pub use frame::{
-    CellReason, Floor, SceneCell, Upright, UprightView, camera_paths, floor_below,
-    level_from_world, scene_cell, upright,
+    CellReason, Floor, MIN_UP_CONFIDENCE, SceneCell, Upright, UprightView, camera_paths,
+    floor_below, level_from_world, scene_cell, upright,
 };
 pub use maps::{LiveMaps, LiveView, MapReader, MapStats, Mapper, Maps, Waiting, navigation_band};
 pub use monogrid_geometry::z_up_from_camera_world;

@@ -7,8 +7,8 @@ use monogrid_slam::settings::Settings;
 /// The settings of the section `[mapping]`.
 pub const MAPPING: Settings<MappingConfig> = settings! { mapping: MappingConfig, OLD,
     mapping.quality => "", [],
-        "How much work final maps get. `fast` refines the depth of the filter. `default` adds depth of all pixels \
-        and completes it. `best` does so with finer steps and more keyframes.",
+        "How much work final maps get. `raw` takes the depth of the filter as it is, `fast` refines it. `default` adds \
+        depth of all pixels and completes it. `best` does so with finer steps and more keyframes.",
         "`default` costs four times the work of `fast`, `best` eight times.";
     mapping.resolution => "map units", [(1e-6, 1e6)],
         "Edge length of a cell.",
@@ -100,9 +100,6 @@ pub const MAPPING: Settings<MappingConfig> = settings! { mapping: MappingConfig,
     mapping.dense.live => "", [],
         "Whether maps that grow during a run get depth of all pixels too, a few keyframes later.",
         "Turn it off to save time while a run goes on.";
-    mapping.refine.enabled => "", [],
-        "Whether final maps refine the depth of keyframes at their final poses.",
-        "Turn it off for the quickest map.";
     mapping.fill.enabled => "", [],
         "Whether plain regions get the depth of a plane through their outline.",
         "Turn it off to map measured depth only.";
@@ -136,7 +133,10 @@ const OLD: &[(&str, &str)] = &[
     ),
     ("mapping.filter", "max_agreed_sigma"),
     ("mapping.planes", "max_extent relative_sigma"),
-    ("mapping.refine", "max_keyframes max_separation stereo"),
+    (
+        "mapping.refine",
+        "enabled max_keyframes max_separation stereo",
+    ),
 ];
 
 #[cfg(test)]

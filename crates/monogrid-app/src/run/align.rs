@@ -9,7 +9,7 @@ use monogrid_datasets::{TimedPose, read_sim3, read_trajectory};
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
 use monogrid_geometry::{Se3, Sim3, Vec3};
 use monogrid_mapping::{
-    Floor, UprightConfig, UprightView, floor_below, level_from_world, upright,
+    Floor, MIN_UP_CONFIDENCE, UprightView, floor_below, level_from_world, upright,
     z_up_from_camera_world,
 };
 use serde::{Deserialize, Serialize};
@@ -138,8 +138,6 @@ pub struct FloorSummary {
 pub struct Scene<'a> {
     /// Keyframes of the map.
     pub views: Vec<UprightView<'a>>,
-    /// Settings.
-    pub config: &'a UprightConfig,
 }
 
 impl Up {
@@ -176,7 +174,7 @@ impl Up {
     ) -> MapFrame {
         let mut known = |up: &Vec3, said, from| {
             let scene = scene();
-            let floor = floor_below(&scene.views, up, scene.config);
+            let floor = floor_below(&scene.views, up);
             level(up, floor.as_ref(), said, from)
         };
         match (self, sensed.up_in_world) {
@@ -185,10 +183,10 @@ impl Up {
             (Self::Scene, Some(up)) => known(&up, "as gravity says", "imu"),
             (Self::Scene, None) => {
                 let scene = scene();
-                let found = upright(&scene.views, scene.config);
+                let found = upright(&scene.views);
                 let confidence = found.as_ref().map_or(0.0, |found| found.confidence);
                 let mut frame = match found {
-                    Some(found) if confidence >= scene.config.min_confidence => {
+                    Some(found) if confidence >= MIN_UP_CONFIDENCE => {
                         let said = match confidence >= CERTAIN {
                             true => "as the scene says",
                             false => "as the scene seems to say (uncertain)",
@@ -450,11 +448,7 @@ mod tests {
 
     #[test]
     fn a_scene_that_is_not_sure_leaves_up_to_the_first_camera() {
-        let config = UprightConfig::default();
-        let mut nothing = || Scene {
-            views: Vec::new(),
-            config: &config,
-        };
+        let mut nothing = || Scene { views: Vec::new() };
         let unsensed = SensedFrame::default();
         let (frame, warning) = Align::Level(Up::Scene).frame(&[], &unsensed, &mut nothing);
         assert_eq!(frame.map_from_world, z_up_from_camera_world());

@@ -257,7 +257,6 @@ impl Looked {
         let path = stamped_path(tracked);
         let (frame, warning) = align.frame(&path, &sensed.frame, &mut || Scene {
             views: views.clone(),
-            config: &mapping.upright,
         });
         let is_free = mapping.auto_resolution && !is_metric(tracked, &frame);
         let cell = is_free.then(|| scene_cell(&views, mapping)).flatten();

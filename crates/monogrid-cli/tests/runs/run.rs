@@ -479,7 +479,7 @@ fn colour_of_the_source_is_kept_and_shown() {
         "--set",
         "mapping.mesh.min_faces=0",
         "--set",
-        "mapping.refine.enabled=false",
+        "mapping.quality=raw",
         "--set",
         "mapping.fill.enabled=false",
     ];

@@ -15,11 +15,8 @@
 //! also gives the variance. A pixel that its sources do not agree about has no new depth. Half of
 //! the pixels take the mean of their neighbours where these agree.
 
-mod misfit;
 mod search;
 mod sight;
-
-pub use misfit::epipolar_misfits;
 
 use crate::DepthPixel;
 use monogrid_geometry::{Pinhole, Sim3};

@@ -293,39 +293,3 @@ fn motion_of_the_match_is_the_derivative_by_the_logarithm() {
         }
     }
 }
-
-#[test]
-fn what_lies_beside_epipolar_lines_is_seen_whatever_the_depth() {
-    let poses = [
-        pose(0.5, 0.0, 0.0, 0.0, 1.0),
-        pose(-0.4, 0.0, 0.0, 0.0, 1.0),
-    ];
-    // edges alone have no place along themselves
-    let fine = |p: &Vec3| texture(&(3.0 * p));
-    let misfit = |tilt: f64, error: f64| {
-        // the images are of cameras that look a little lower than is believed
-        let tilted = Sim3::new(
-            1.0,
-            Rotation::from_scaled_axis(Vec3::x() * tilt),
-            Vec3::zeros(),
-        );
-        let images: Vec<Image<u8>> = poses
-            .iter()
-            .map(|pose| view_of(fine, &(tilted * *pose), 0.9, 7.0))
-            .collect();
-        let sources = sources(&images, &poses);
-        let keyframe = view_of(fine, &Sim3::identity(), 1.0, 0.0);
-        let pixels = depths(0.03, |_, _| error);
-        let config = MultiViewConfig::default();
-        let found = epipolar_misfits(&keyframe, &camera(), &pixels, &sources, &config);
-        assert!(found.len() > 100, "{}", found.len());
-        median(found.into_iter().map(|px| f64::from(px.abs())).collect())
-    };
-    let none = misfit(0.0, 0.0);
-    assert!(none < 0.1, "{none}");
-    let tilt = 0.4 / camera().fy;
-    for error in [0.0, 0.02, -0.02] {
-        let found = misfit(tilt, error);
-        assert!((found - 0.4).abs() < 0.06, "{error}: {found}");
-    }
-}

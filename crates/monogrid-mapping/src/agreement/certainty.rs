@@ -3,25 +3,21 @@
 //! Where two keyframes see the same surface, the difference of their depths over its standard deviation is a standard normal number
 //! if the deviations are right. The median of its absolute value over that of a normal (0.6745) is then what deviations have to
 //! be multiplied by. Keyframes share errors, since the same images measured them, and agree better with each other than with
-//! the truth. How much better, images tell that do not fit across epipolar lines, where no depth hides it: [`shared_errors`]. Measured depth
-//! has one factor for the whole map, and filled depth has one.
+//! the truth by a usual factor. Measured depth has one factor for the whole map, and filled depth has one.
 
-use crate::scene::{DepthImage, Depths, KeptDepths, Scene, View, for_each_keyframe};
+use crate::scene::{DepthImage, Depths, KeptDepths, Scene, for_each_keyframe};
 use monogrid_geometry::median::median;
 use monogrid_occupancy::DepthPixel as Measurement;
 
-/// How much farther the truth is than another keyframe, for each px that patches are off across their epipolar lines (robust deviation). The middle of
-/// the errors alone would have 3.4 to 5.3 in six rendered sequences, of which one has a rolling shutter and one blur as well, and two real ones with a
-/// depth camera; this much makes two standard deviations hold nine tenths, since errors have tails (`docs/studies.md`).
-const SHARED_PER_PX: f32 = 7.5;
-/// What it is taken for: depths that share nothing would be as far from the truth as from each other.
-const SHARED_ERRORS: std::ops::RangeInclusive<f32> = 1.0..=5.6;
-/// The same where too few patches tell: of real videos.
-const USUAL_SHARED_ERRORS: f32 = 2.75;
-/// Fewest patches that tell it.
-const MIN_PATCHES: usize = 50;
+/// How much farther the truth is than another keyframe: depths that share nothing would be as far
+/// from the truth as from each other. In six rendered sequences and two real ones with a depth
+/// camera, two standard deviations then hold nine tenths.
+const SHARED_ERRORS: f32 = 2.75;
 /// Factors beyond these say that something else is wrong.
 const FACTORS: std::ops::RangeInclusive<f32> = 0.25..=3.75;
+/// Largest relative deviation of all depth. Measured: with more, walls of real recordings get
+/// thicker, with less fewer of the surfaces are observed.
+pub(crate) const MAX_SIGMA: f64 = 0.035;
 /// Relative deviation that always remains: of the camera's model and of the pixels' size.
 const LEAST_RELATIVE_SIGMA: f32 = 0.003;
 /// Every so many pixels of a keyframe are compared.
@@ -55,11 +51,8 @@ impl Certainty {
         most: f32::INFINITY,
     };
 
-    /// From how well keyframes with poses agree; 1 where too little is seen twice. As they are if the settings do not ask for it.
+    /// From how well keyframes with poses agree; 1 where too little is seen twice.
     pub fn of_scene(scene: &Scene) -> Self {
-        if !scene.config.sigma_from_agreement {
-            return Self::UNCHANGED;
-        }
         let count = scene.views.len();
         let mine = for_each_keyframe(count, scene.threads, |index| {
             let depths = &scene.views[index].as_ref()?.depths;
@@ -73,16 +66,15 @@ impl Certainty {
         let differences = for_each_keyframe(count, scene.threads, |other| {
             differences_from(scene, other, &mine)
         });
-        let shared = shared_errors(scene.views);
         let [measured, filled] = [0, 1].map(|kind| {
             let of_kind = differences.iter().flat_map(|kinds| &kinds[kind]);
-            factor(&mut of_kind.copied().collect::<Vec<f32>>(), shared)
+            factor(&mut of_kind.copied().collect::<Vec<f32>>())
         });
         Self {
             measured,
             filled,
             least: LEAST_RELATIVE_SIGMA,
-            most: scene.config.filter.max_agreed_sigma as f32,
+            most: MAX_SIGMA as f32,
         }
     }
 
@@ -117,22 +109,11 @@ impl Certainty {
     }
 }
 
-/// How much farther the truth is than another keyframe, by how far patches are off across their epipolar lines.
-fn shared_errors(views: &[Option<View>]) -> f32 {
-    let misfits = views.iter().flatten().flat_map(|view| view.misfits.iter());
-    let mut misfits: Vec<f32> = misfits.map(|px| px.abs()).collect();
-    if misfits.len() < MIN_PATCHES {
-        return USUAL_SHARED_ERRORS;
-    }
-    (SHARED_PER_PX * robust_deviation(&mut misfits))
-        .clamp(*SHARED_ERRORS.start(), *SHARED_ERRORS.end())
-}
-
-fn factor(differences: &mut [f32], shared: f32) -> f32 {
+fn factor(differences: &mut [f32]) -> f32 {
     if differences.len() < MIN_COMPARED {
         return 1.0;
     }
-    (shared * robust_deviation(differences)).clamp(*FACTORS.start(), *FACTORS.end())
+    (SHARED_ERRORS * robust_deviation(differences)).clamp(*FACTORS.start(), *FACTORS.end())
 }
 
 /// The standard deviation of normal numbers with the median of these absolute values, of which there is one.
@@ -189,7 +170,8 @@ fn difference(pixel: &Measurement, expected: f32, [other, its_sigma]: [f32; 2]) 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{DepthFilterConfig, KeyframeCamera, MappingConfig};
+    use crate::scene::View;
+    use crate::{KeyframeCamera, MappingConfig};
     use monogrid_geometry::{Pinhole, Rotation, Sim3, Vec3};
 
     const CAMERA: KeyframeCamera = KeyframeCamera {
@@ -237,63 +219,23 @@ mod tests {
             .collect()
     }
 
-    fn views(keyframes: &[(Depths, Sim3)], misfits: &[f32]) -> Vec<Option<View>> {
-        let view = |(depths, pose): &(Depths, Sim3)| {
-            Some(View {
-                misfits: misfits.into(),
-                ..View::in_memory(depths, *pose, &CAMERA)
-            })
-        };
-        keyframes.iter().map(view).collect()
-    }
-
-    /// From keyframes with these misfits.
-    fn certainty_with(keyframes: &[(Depths, Sim3)], misfits: &[f32]) -> Certainty {
-        let config = MappingConfig {
-            filter: DepthFilterConfig {
-                max_agreed_sigma: 0.05,
-                ..DepthFilterConfig::default()
-            },
-            ..MappingConfig::default()
-        };
+    fn certainty(keyframes: &[(Depths, Sim3)]) -> Certainty {
+        let view = |(depths, pose): &(Depths, Sim3)| Some(View::in_memory(depths, *pose, &CAMERA));
+        let views: Vec<Option<View>> = keyframes.iter().map(view).collect();
         Certainty::of_scene(&Scene {
             keyframes: &[],
-            views: &views(keyframes, misfits),
+            views: &views,
             camera: &CAMERA,
-            config: &config,
+            config: &MappingConfig::default(),
             threads: 2,
         })
-    }
-
-    fn certainty(keyframes: &[(Depths, Sim3)]) -> Certainty {
-        certainty_with(keyframes, &[])
-    }
-
-    #[test]
-    fn the_truth_is_farther_than_keyframes_where_patches_are_farther_from_their_lines() {
-        let keyframes = wall(0.01, 0.01);
-        // with a median of 0.2 px: a robust deviation of 0.3 px
-        let misfits = [-0.9, 0.2, -0.2, 0.1, 0.2, -0.1, 0.5, 0.2, -0.2];
-        let factor = |scale: f32| {
-            let misfits = misfits.map(|px| scale * px);
-            certainty_with(&keyframes, &misfits).measured
-        };
-        let usual = certainty(&keyframes).measured / USUAL_SHARED_ERRORS;
-        let expected = SHARED_PER_PX * 0.2 / NORMAL_MEDIAN;
-        assert!((factor(1.0) / usual - expected).abs() < 1e-4);
-        assert!((factor(1.5) / usual - 1.5 * expected).abs() < 1e-4);
-        assert!((factor(0.01) / usual - SHARED_ERRORS.start()).abs() < 1e-4);
-        assert!((factor(9.0) - (SHARED_ERRORS.end() * usual).min(*FACTORS.end())).abs() < 1e-4);
-        // 48 of them say nothing
-        let few = certainty_with(&keyframes, &misfits[..8]);
-        assert!((few.measured / usual - USUAL_SHARED_ERRORS).abs() < 1e-4);
     }
 
     #[test]
     fn deviations_become_those_of_the_differences() {
         for (errors, said, expected) in [(0.01, 0.01, 1.0), (0.01, 0.02, 0.5), (0.012, 0.01, 1.2)] {
             let found = certainty(&wall(errors, said));
-            let factor = found.measured / USUAL_SHARED_ERRORS;
+            let factor = found.measured / SHARED_ERRORS;
             assert!(
                 (factor / expected - 1.0).abs() < 0.05,
                 "{errors} {said}: {factor}"

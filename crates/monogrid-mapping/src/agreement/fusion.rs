@@ -24,12 +24,12 @@ pub(crate) fn fused(scene: &Scene, index: usize, depths: Depths, certainty: Cert
     let Some(this) = &scene.views[index] else {
         return depths;
     };
-    let (camera, config) = (scene.camera, &scene.config.fusion);
+    let camera = scene.camera;
     let num_measured = depths.measured.len();
     let all = depths.measured.into_iter().chain(depths.filled);
     let mut means: Vec<Mean> = all.map(Mean::of).collect();
     let mut image = DepthImage::new(camera);
-    for (_, other) in scene.witnesses(index, config.max_witnesses) {
+    for (_, other) in scene.witnesses(index, scene.config.quality.effort().max_witnesses) {
         let [measured, filled] = other.depths.kinds();
         image.clear();
         image.show(certainty.filled(&filled));

@@ -5,6 +5,6 @@ mod certainty;
 mod completion;
 mod fusion;
 
-pub(crate) use certainty::Certainty;
+pub(crate) use certainty::{Certainty, MAX_SIGMA};
 pub(crate) use completion::completed;
 pub(crate) use fusion::fused;

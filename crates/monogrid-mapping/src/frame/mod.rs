@@ -6,4 +6,6 @@ mod upright;
 
 pub use body::camera_paths;
 pub use cell::{CellReason, SceneCell, scene_cell};
-pub use upright::{Floor, Upright, UprightView, floor_below, level_from_world, upright};
+pub use upright::{
+    Floor, MIN_UP_CONFIDENCE, Upright, UprightView, floor_below, level_from_world, upright,
+};

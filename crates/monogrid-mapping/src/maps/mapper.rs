@@ -44,7 +44,7 @@ impl Mapper {
             },
             // Depth from video has false measurements enough: they would gain as well.
             obstacle_weight: 0,
-            band_by_slope: config.band_by_slope,
+            band_by_slope: true,
             sigma_mode: config.sigma_mode,
         };
         Self {

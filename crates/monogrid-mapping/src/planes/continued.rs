@@ -16,7 +16,7 @@ use super::fill::{
     regions_beside,
 };
 use super::shared::{SeenPlane, Surroundings};
-use crate::MappingConfig;
+use crate::agreement::MAX_SIGMA;
 use crate::scene::{DepthImage, Scene, measurement};
 use monogrid_geometry::Vec2;
 use monogrid_image::Image;
@@ -48,7 +48,7 @@ pub(super) fn continued(
     index: usize,
     surroundings: &Surroundings,
 ) -> Vec<Measurement> {
-    let Scene { camera, config, .. } = *scene;
+    let camera = scene.camera;
     let image = scene.keyframes[index].image();
     let (Some(view), Some(image)) = (&scene.views[index], image) else {
         return Vec::new();
@@ -60,7 +60,6 @@ pub(super) fn continued(
     let seen = |plane| SeenPlane::new(plane, &view.world_from_keyframe, camera);
     let envelope = Envelope {
         planes: planes.into_iter().map(seen).collect(),
-        config,
     };
     let [measured, filled] = view.depths.kinds();
     let plain = Regions::new(&image, measured.iter().chain(filled.iter()));
@@ -77,7 +76,6 @@ pub(super) fn continued(
 /// The planes that bound the view of a keyframe.
 struct Envelope<'a> {
     planes: Vec<SeenPlane<'a>>,
-    config: &'a MappingConfig,
 }
 
 impl Envelope<'_> {
@@ -170,7 +168,6 @@ impl Envelope<'_> {
     /// was measured of it.
     fn filled(&self, regions: &Regions, allowed: &[Vec<bool>]) -> Vec<Measurement> {
         let mut filled = Vec::new();
-        let most = self.config.filter.max_agreed_sigma;
         for (index, label) in regions.labels.as_slice().iter().enumerate() {
             let Some(allowed) = allowed.get(*label as usize).filter(|a| !a.is_empty()) else {
                 continue;
@@ -186,7 +183,7 @@ impl Envelope<'_> {
             let plane = &self.planes[plane];
             let point = plane.point([x as f64, y as f64]);
             let sigma = plane.relative_sigma(&point);
-            if sigma <= most && plane.is_measured(&point, MAX_EXTENT) {
+            if sigma <= MAX_SIGMA && plane.is_measured(&point, MAX_EXTENT) {
                 let sigma = (sigma * idepth) as f32;
                 filled.push(measurement((x, y), idepth as f32, sigma));
             }

@@ -9,6 +9,8 @@ use super::shared::{SeenPlane, Surroundings};
 use crate::scene::{Depths, Scene};
 use monogrid_occupancy::DepthPixel as Measurement;
 
+/// Relative standard deviation of the inverse depth of a plane.
+const RELATIVE_SIGMA: f64 = 0.006;
 /// How far beyond where a plane was measured depth is put on it, as a share of the range.
 const MAX_EXTENT: f64 = 0.03;
 /// Share of the standard deviation of a pixel that it has in common with its plane, whose points
@@ -26,9 +28,7 @@ pub(super) fn straightened(
     mut depths: Depths,
     surroundings: &Surroundings,
 ) -> Depths {
-    let relative_sigma = scene.config.planes.relative_sigma;
-    let view = scene.views[index].as_ref();
-    let Some(view) = view.filter(|_| relative_sigma > 0.0) else {
+    let Some(view) = &scene.views[index] else {
         return depths;
     };
     let planes = surroundings.planes.iter();
@@ -36,19 +36,19 @@ pub(super) fn straightened(
     let seen = |plane| SeenPlane::new(plane, &view.world_from_keyframe, scene.camera);
     let planes: Vec<SeenPlane> = surfaces.map(seen).collect();
     for pixel in depths.measured.iter_mut().chain(&mut depths.filled) {
-        *pixel = on_plane(*pixel, &planes, relative_sigma);
+        *pixel = on_plane(*pixel, &planes);
     }
     depths
 }
 
 /// A pixel averaged with the plane that it agrees with best, if it does with one.
-fn on_plane(pixel: Measurement, planes: &[SeenPlane], relative_sigma: f64) -> Measurement {
+fn on_plane(pixel: Measurement, planes: &[SeenPlane]) -> Measurement {
     let at = [pixel.x.into(), pixel.y.into()];
     let (own, sigma) = (f64::from(pixel.idepth), f64::from(pixel.sigma_idepth));
     let mut best: Option<(f64, f64)> = None;
     for plane in planes {
         let idepth = plane.idepth(at);
-        let deviations = (own - idepth).abs() / sigma.hypot(relative_sigma * idepth);
+        let deviations = (own - idepth).abs() / sigma.hypot(RELATIVE_SIGMA * idepth);
         let is_nearer = best.is_none_or(|(_, least)| deviations < least);
         if idepth > 0.0
             && deviations <= MAX_DEVIATIONS
@@ -59,7 +59,7 @@ fn on_plane(pixel: Measurement, planes: &[SeenPlane], relative_sigma: f64) -> Me
         }
     }
     best.map_or(pixel, |(idepth, _)| {
-        averaged(pixel, idepth, relative_sigma * idepth)
+        averaged(pixel, idepth, RELATIVE_SIGMA * idepth)
     })
 }
 

@@ -2,10 +2,10 @@
 
 use super::continued::is_line;
 use super::*;
+use crate::MappingConfig;
 use crate::scene::View;
 use crate::test_wall::CAMERA;
 use crate::{DepthOf, ImageOf, PosedKeyframe};
-use crate::{MappingConfig, PlanesConfig};
 use monogrid_geometry::{Rng, Rotation, Sim3, Vec3};
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
@@ -290,17 +290,4 @@ fn what_is_not_flat_or_alone_stays() {
     let still: Vec<_> = pixels.iter().filter(|(a, b)| a == b).collect();
     assert_eq!(still.len(), 1);
     assert_eq!((still[0].0.x, still[0].0.y), (150, 60));
-}
-
-#[test]
-fn nothing_is_moved_if_the_settings_do_not_ask_for_it() {
-    let config = MappingConfig {
-        planes: PlanesConfig {
-            relative_sigma: 0.0,
-            ..PlanesConfig::default()
-        },
-        ..MappingConfig::default()
-    };
-    let noisy = |u: u16, v: u16| Some(idepth(u.into()) * (1.0 + 0.004 * noise(u, v)));
-    assert!(straight(&config, noisy).iter().all(|(a, b)| a == b));
 }

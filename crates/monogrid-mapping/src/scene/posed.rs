@@ -141,12 +141,12 @@ impl<'a> Scene<'a> {
         found.into_iter().map(|(_, neighbour)| neighbour).collect()
     }
 
-    /// The images of the first so many neighbours, with `source_from_keyframe`.
-    pub fn sources(&self, of: &[Neighbour], most: usize) -> Vec<(Cow<'_, Image<u8>>, Sim3)> {
+    /// The images of neighbours, with `source_from_keyframe`.
+    pub fn sources(&self, of: &[Neighbour]) -> Vec<(Cow<'_, Image<u8>>, Sim3)> {
         let source = |neighbour: &Neighbour| {
             let image = self.keyframes[neighbour.index].image()?;
             Some((image, neighbour.neighbour_from_keyframe))
         };
-        of.iter().take(most).filter_map(source).collect()
+        of.iter().filter_map(source).collect()
     }
 }

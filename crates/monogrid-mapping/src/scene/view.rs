@@ -21,9 +21,6 @@ pub(crate) struct View {
     /// Some of the points that it sees, in its frame.
     pub probes: Arc<[Vec3]>,
     pub world_from_keyframe: Sim3,
-    /// How far across epipolar lines other images show its patches, px
-    /// ([`monogrid_depth::epipolar_misfits`]).
-    pub misfits: Arc<[f32]>,
 }
 
 impl View {
@@ -112,7 +109,6 @@ mod tests {
                 depths: KeptDepths::new(&Store::default(), depths.clone()),
                 probes: probes(depths, camera),
                 world_from_keyframe,
-                misfits: Arc::new([]),
             }
         }
     }

@@ -2,15 +2,15 @@
 //! together.
 
 use super::stages::{Progress, Stage, mapped, taken, views_of};
-use crate::scene::{PosedKeyframe, Scene, for_each_keyframe};
-use crate::{KeyframeCamera, KeyframeScan, MappingConfig};
+use crate::scene::{Depths, PosedKeyframe, Scene, for_each_keyframe};
+use crate::{KeyframeCamera, KeyframeScan, MapQuality, MappingConfig};
 use monogrid_slam::Slam;
 use monogrid_slam::store::Store;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// What of each keyframe is mapped: its depth, with dense depth ([`monogrid_depth::dense_depth`])
-/// and made better by the images of the keyframes around it ([`monogrid_depth::refine_depth`]) if
-/// the settings ask for it, filtered and filled as [`KeyframeScan::new`] does.
+/// What of each keyframe is mapped: its depth, with dense depth ([`monogrid_depth::dense_depth`]) or
+/// made better by the images of the keyframes around it ([`monogrid_depth::refine_depth`]) as the
+/// quality asks for, filtered and filled as [`KeyframeScan::new`] does.
 ///
 /// The result does not depend on the number of threads.
 #[must_use]
@@ -49,7 +49,6 @@ fn scans_in(
     threads: usize,
     (store, done): (&Store, &AtomicUsize),
 ) -> Vec<KeyframeScan> {
-    let config = &*config.at_its_quality();
     let scene = Scene {
         keyframes,
         views: &[],
@@ -58,6 +57,12 @@ fn scans_in(
         threads,
     };
     let count = keyframes.len();
+    if config.quality == MapQuality::Raw {
+        return for_each_keyframe(count, threads, |index| {
+            done.fetch_add(1, Ordering::Relaxed);
+            raw(&scene, index, store)
+        });
+    }
     let mut all = vec![Progress::default(); count];
     for stage in Stage::ALL {
         let before: Vec<Option<&Progress>> = all.iter().map(Some).collect();
@@ -81,11 +86,21 @@ fn scans_in(
     })
 }
 
+/// What of a keyframe is mapped, by the depth of the filter alone.
+fn raw(scene: &Scene, index: usize, store: &Store) -> KeyframeScan {
+    let Scene { camera, config, .. } = *scene;
+    let keyframe = &scene.keyframes[index];
+    let (pixels, image) = (keyframe.depth.get(), keyframe.image());
+    let settings = (config, config.filter.max_relative_sigma);
+    let depths = Depths::new(keyframe.id, &pixels, image.as_deref(), camera, settings);
+    depths.joined(keyframe.id, camera, store)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::test_wall::{CAMERA, depths, share_right, wall};
-    use crate::{DepthOf, FillConfig, FusionConfig, ImageOf, MapQuality};
+    use crate::{DepthOf, FillConfig, ImageOf};
     use monogrid_geometry::{Rotation, Sim3, Vec3};
     use monogrid_slam::KeyframeId;
     use monogrid_slam::MemoryConfig;
@@ -93,8 +108,6 @@ mod tests {
     fn config() -> MappingConfig {
         MappingConfig {
             quality: MapQuality::Fast,
-            sigma_from_agreement: false,
-            fusion: FusionConfig { max_witnesses: 0 },
             fill: FillConfig { enabled: false },
             ..MappingConfig::default()
         }
@@ -135,9 +148,11 @@ mod tests {
             // for the other two, one source is not enough
             assert!(share_right(scan, scale) <= 0.0);
         }
-        // and none does if it is switched off
-        let mut off = config();
-        off.refine.enabled = false;
+        // and none does in quality `raw`
+        let off = MappingConfig {
+            quality: MapQuality::Raw,
+            ..config()
+        };
         keyframes[2].image = Some(ImageOf::Held(&images[2]));
         for (keyframe, scan) in keyframes
             .iter()

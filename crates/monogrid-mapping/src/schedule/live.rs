@@ -9,7 +9,7 @@
 
 use super::stages::{Progress, Stage, mapped, taken, views_of};
 use crate::scene::{PosedKeyframe, Scene};
-use crate::{KeyframeCamera, KeyframeScan, MappingConfig};
+use crate::{KeyframeCamera, KeyframeScan, MapQuality, MappingConfig};
 use monogrid_slam::{KeptKeyframe, KeyframeId, PoseSnapshot};
 use std::collections::VecDeque;
 
@@ -75,8 +75,9 @@ pub(crate) struct LiveDepth {
 }
 
 impl LiveDepth {
-    /// Of no keyframe yet.
-    pub fn new(config: MappingConfig, camera: KeyframeCamera) -> Self {
+    /// Of no keyframe yet. Qualities beyond the default are left for the end.
+    pub fn new(mut config: MappingConfig, camera: KeyframeCamera) -> Self {
+        config.quality = MapQuality::Default;
         Self {
             config,
             camera,

@@ -133,34 +133,22 @@ fn matched(scene: &Scene, index: usize) -> Option<DenseDepth> {
 fn found(scene: &Scene, index: usize, before: &Before, store: &Store) -> Found {
     let Scene { camera, config, .. } = *scene;
     let keyframe = &scene.keyframes[index];
-    let mut pixels = keyframe.depth.get();
+    let pixels = keyframe.depth.get();
     let dense = |other: usize| -> Option<Arc<DenseDepth>> { before[other]?.dense.as_ref()?.get() };
-    if let Some(dense) = confirmed(scene, index, dense) {
-        pixels = Cow::Owned(merged(&pixels, &dense, camera));
-    }
-    let (pixels, misfits) = match config.refine.enabled {
-        true => refined(scene, index, pixels),
-        false => (pixels, Vec::new()),
+    let pixels = match confirmed(scene, index, dense) {
+        Some(dense) => Cow::Owned(merged(&pixels, &dense, camera)),
+        None => refined(scene, index, pixels),
     };
-    // how certain a plane is, keyframes tell together
-    let limit = match config.sigma_from_agreement {
-        true => MAX_STATED_SIGMA,
-        false => config.filter.max_relative_sigma,
-    };
-    let (image, settings) = (keyframe.image(), (config, limit));
+    let (image, settings) = (keyframe.image(), (config, MAX_STATED_SIGMA));
     let depths = Depths::new(keyframe.id, &pixels, image.as_deref(), camera, settings);
-    let known = keyframe.world_from_keyframe.zip(Some(misfits.into()));
-    Found::new(depths, known, camera, store)
+    Found::new(depths, keyframe.world_from_keyframe, camera, store)
 }
 
 /// What was found of a keyframe, as certain as it is, each depth fused with those of others that
 /// agree.
 fn agreed(scene: &Scene, this: &Found, index: usize, certainty: Certainty) -> Found {
-    let mut depths = certainty.apply(&this.depths);
-    if scene.config.fusion.max_witnesses > 0 {
-        depths = fused(scene, index, depths, certainty);
-    }
-    this.with_depths(depths, scene.camera)
+    let depths = certainty.apply(&this.depths);
+    this.with_depths(fused(scene, index, depths, certainty), scene.camera)
 }
 
 /// With depth that others have and the keyframe has not.
@@ -192,21 +180,19 @@ pub(super) fn mapped(scene: &Scene, index: usize, before: &Before, store: &Store
 }
 
 impl Found {
-    /// `known`: its pose, and how far its patches are beside epipolar lines.
     fn new(
         depths: Depths,
-        known: Option<(Sim3, Arc<[f32]>)>,
+        world_from_keyframe: Option<Sim3>,
         camera: &KeyframeCamera,
         store: &Store,
     ) -> Self {
         let probes = probes(&depths, camera);
         let depths = KeptDepths::new(store, depths);
         Self {
-            view: known.map(|(world_from_keyframe, misfits)| View {
+            view: world_from_keyframe.map(|world_from_keyframe| View {
                 depths: depths.clone(),
                 probes,
                 world_from_keyframe,
-                misfits,
             }),
             depths,
         }
@@ -214,8 +200,7 @@ impl Found {
 
     /// With other depths.
     fn with_depths(&self, depths: Depths, camera: &KeyframeCamera) -> Self {
-        let view = self.view.as_ref();
-        let known = view.map(|view| (view.world_from_keyframe, view.misfits.clone()));
-        Self::new(depths, known, camera, self.depths.store())
+        let pose = self.view.as_ref().map(|view| view.world_from_keyframe);
+        Self::new(depths, pose, camera, self.depths.store())
     }
 }

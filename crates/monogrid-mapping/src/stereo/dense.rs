@@ -31,11 +31,10 @@ pub(crate) fn confirmed(
     index: usize,
     depth: impl Fn(usize) -> Option<Arc<DenseDepth>>,
 ) -> Option<DenseDepth> {
-    let config = &scene.config.dense;
+    let effort = scene.config.quality.effort();
     let own = depth(index)?;
-    let neighbours = neighbours(scene, index).into_iter();
+    let neighbours = neighbours(scene, index, effort.max_confirming).into_iter();
     let seen: Vec<(Arc<DenseDepth>, Sim3)> = neighbours
-        .take(config.max_witnesses)
         .filter_map(|other| Some((depth(other.index)?, other.neighbour_from_keyframe)))
         .collect();
     let witnesses = seen.iter().map(|(depth, witness_from_keyframe)| Witness {
@@ -43,29 +42,27 @@ pub(crate) fn confirmed(
         witness_from_keyframe: *witness_from_keyframe,
     });
     let witnesses: Vec<Witness> = witnesses.collect();
-    Some(own.agreed(&witnesses, &scene.camera.pinhole, &config.stereo))
+    Some(own.agreed(&witnesses, &scene.camera.pinhole, &effort.stereo))
 }
 
 /// The dense depth of one keyframe by its neighbours.
 pub(crate) fn stereo(scene: &Scene, index: usize) -> Option<DenseDepth> {
-    let config = &scene.config.dense;
-    let near = scene.sources(&neighbours(scene, index), config.max_sources);
+    let effort = scene.config.quality.effort();
+    let near = scene.sources(&neighbours(scene, index, effort.max_sources));
     let keyframe = &scene.keyframes[index];
     dense_depth(
         &*keyframe.image()?,
         &scene.camera.pinhole,
         &keyframe.depth.get(),
         &source_views(&near),
-        &config.stereo,
+        &effort.stereo,
     )
 }
 
-/// The keyframes with an image that are most useful for the depth of another one, the best first:
-/// as many as match it or confirm it.
-fn neighbours(scene: &Scene, index: usize) -> Vec<Neighbour> {
-    let (config, camera) = (&scene.config.dense, scene.camera);
+/// The keyframes with an image that are most useful for the depth of another one, the best first.
+fn neighbours(scene: &Scene, index: usize, most: usize) -> Vec<Neighbour> {
+    let camera = scene.camera;
     let points = probes(&scene.keyframes[index].depth.get(), camera);
-    let most = config.max_sources.max(config.max_witnesses);
     scene.neighbours(index, most, |neighbour_from_keyframe| {
         let usefulness = usefulness(&points, neighbour_from_keyframe, camera);
         (usefulness >= MIN_USEFULNESS).then_some(-usefulness)
@@ -186,7 +183,7 @@ pub(crate) fn at_full_size(half: &Image<f32>, x: usize, y: usize) -> Option<f32>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{DenseMappingConfig, DepthOf, ImageOf, MappingConfig, PosedKeyframe};
+    use crate::{DepthOf, ImageOf, MappingConfig, PosedKeyframe};
     use monogrid_geometry::{Pinhole, Rotation};
 
     const CAMERA: KeyframeCamera = KeyframeCamera {
@@ -235,14 +232,7 @@ mod tests {
             })
             .collect();
         let order = |keyframes: &[PosedKeyframe], max| -> Vec<usize> {
-            let config = MappingConfig {
-                dense: DenseMappingConfig {
-                    max_sources: 1,
-                    max_witnesses: max,
-                    ..DenseMappingConfig::default()
-                },
-                ..MappingConfig::default()
-            };
+            let config = MappingConfig::default();
             let scene = Scene {
                 keyframes,
                 views: &[],
@@ -250,7 +240,7 @@ mod tests {
                 config: &config,
                 threads: 1,
             };
-            let found = neighbours(&scene, 0);
+            let found = neighbours(&scene, 0, max);
             found.iter().map(|n| n.index).collect()
         };
         assert_eq!(order(&keyframes, 9), [2, 3, 1]);

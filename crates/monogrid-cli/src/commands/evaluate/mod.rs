@@ -23,7 +23,7 @@ use monogrid_evaluation::{
 };
 use monogrid_geometry::{Camera, Distortion};
 use monogrid_image::{GradientImage, GrayImage, Image};
-use monogrid_mapping::{KeyframeScan, RefineConfig, refined_depths};
+use monogrid_mapping::{KeyframeScan, refined_depths};
 use monogrid_occupancy::DepthPixel as Measurement;
 use monogrid_slam::DepthPixel;
 use serde::Serialize;
@@ -271,11 +271,9 @@ fn depths(
     if !args.refined {
         return Ok(keyframes.iter().map(|k| k.pixels.clone()).collect());
     }
-    let config = RunConfig::recorded_mapping(&recording.session.config)
-        .map_or_else(RefineConfig::default, |config| config.mapping.refine);
     let threads = use_threads(None)?;
     Ok(by_camera(keyframes, |posed, camera| {
-        refined_depths(posed, camera, &config, threads)
+        refined_depths(posed, camera, threads)
     }))
 }
 

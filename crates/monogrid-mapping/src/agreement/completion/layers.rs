@@ -83,7 +83,7 @@ impl Layers {
         self,
         mine: &DepthImage,
         image: &Image<u8>,
-        min_support: usize,
+        min_support: u16,
     ) -> Vec<Candidate> {
         let mut candidates = Vec::new();
         for row in 0..self.layers.height() {
@@ -93,8 +93,7 @@ impl Layers {
                 if of_four.iter().all(|(x, y)| mine.at(*x, *y).is_some()) {
                     continue;
                 }
-                let has_support =
-                    |layer: &&Layer| layer.support > 0 && usize::from(layer.support) >= min_support;
+                let has_support = |layer: &&Layer| layer.support >= min_support;
                 candidates.extend(layers.iter().filter(has_support).map(|layer| Candidate {
                     column: column as u16,
                     row: row as u16,

@@ -62,7 +62,7 @@ fn with_hole(keyframe: usize, u: f32, v: f32) -> f32 {
     }
 }
 
-fn completed_first(taken: &[Taken], config: &CompletionConfig) -> Vec<Measurement> {
+fn completed_first(taken: &[Taken], rules: &Rules) -> Vec<Measurement> {
     let views: Vec<Option<View>> = taken
         .iter()
         .map(|t| Some(View::in_memory(&t.depths, t.pose, &CAMERA)))
@@ -77,10 +77,7 @@ fn completed_first(taken: &[Taken], config: &CompletionConfig) -> Vec<Measuremen
             world_from_keyframe: Some(t.pose),
         })
         .collect();
-    let config = MappingConfig {
-        completion: config.clone(),
-        ..MappingConfig::default()
-    };
+    let config = MappingConfig::default();
     let scene = Scene {
         keyframes: &keyframes,
         views: &views,
@@ -88,7 +85,7 @@ fn completed_first(taken: &[Taken], config: &CompletionConfig) -> Vec<Measuremen
         config: &config,
         threads: 1,
     };
-    completed(&scene, 0)
+    completed_by(rules, &scene, 0)
 }
 
 /// Whether a depth of the first keyframe is that of the wall.
@@ -98,8 +95,7 @@ fn is_wall(pixel: &Measurement) -> bool {
 
 #[test]
 fn a_hole_has_the_depth_of_keyframes_that_see_the_same() {
-    let config = CompletionConfig::default();
-    let found = completed_first(&taken(3, with_hole), &config);
+    let found = completed_first(&taken(3, with_hole), &RULES);
     assert!(100 * found.len() > 95 * HOLE_AREA, "{}", found.len());
     for pixel in &found {
         assert!(is_hole(pixel.x.into(), pixel.y.into()) && is_wall(pixel));
@@ -108,10 +104,10 @@ fn a_hole_has_the_depth_of_keyframes_that_see_the_same() {
         assert!((sigma - 0.013).abs() < 1e-4, "{sigma}");
     }
     // one alone may be wrong
-    assert_eq!(completed_first(&taken(2, with_hole), &config), []);
-    let one = CompletionConfig {
+    assert_eq!(completed_first(&taken(2, with_hole), &RULES), []);
+    let one = Rules {
         min_support: 1,
-        ..config
+        ..RULES
     };
     assert!(!completed_first(&taken(2, with_hole), &one).is_empty());
 }
@@ -125,15 +121,14 @@ fn what_looks_different_keeps_its_hole() {
             taken[0].image.set(u, v, 255);
         }
     }
-    let config = CompletionConfig::default();
     let is_post = |p: &&Measurement| (72..88).contains(&p.x);
-    let found = completed_first(&taken, &config);
+    let found = completed_first(&taken, &RULES);
     let on_post = found.iter().filter(is_post).count();
     assert!(on_post < 16, "{on_post}");
     assert!(found.len() - on_post > HOLE_AREA / 3);
-    let blind = CompletionConfig {
+    let blind = Rules {
         max_difference: 255.0,
-        ..config
+        ..RULES
     };
     let found = completed_first(&taken, &blind);
     assert!(found.iter().filter(is_post).count() > 500);
@@ -152,16 +147,16 @@ fn what_others_see_through_is_not_taken_over() {
         }
     };
     let taken = taken(5, with_patch);
-    let config = CompletionConfig {
+    let blind = Rules {
         max_difference: 255.0,
-        ..CompletionConfig::default()
+        ..RULES
     };
-    let found = completed_first(&taken, &config);
+    let found = completed_first(&taken, &blind);
     assert!(100 * found.len() > 90 * HOLE_AREA, "{}", found.len());
     assert!(found.iter().all(is_wall));
-    let credulous = CompletionConfig {
+    let credulous = Rules {
         max_against: 10.0,
-        ..config
+        ..blind
     };
     let found = completed_first(&taken, &credulous);
     assert!(found.iter().filter(|p| !is_wall(p)).count() > 300);
@@ -178,11 +173,11 @@ fn the_first_of_two_surfaces_is_seen() {
             (false, false) => 1.0 / WALL,
         }
     };
-    let config = CompletionConfig {
+    let blind = Rules {
         max_difference: 255.0,
-        ..CompletionConfig::default()
+        ..RULES
     };
-    let found = completed_first(&taken(4, with_board), &config);
+    let found = completed_first(&taken(4, with_board), &blind);
     let on_board = found.iter().filter(|p| (67..92).contains(&p.x));
     let (near, all) = on_board.fold((0, 0), |(near, all), p| {
         (near + u32::from(!is_wall(p)), all + 1)

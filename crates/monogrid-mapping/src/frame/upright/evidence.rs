@@ -1,7 +1,6 @@
 //! What keyframes say about directions: planes of their depth, straight edges of their images, how they were held.
 
 use super::segments::segments;
-use crate::UprightConfig;
 use crate::planes::planes_of_image;
 use crate::{ImageOf, KeyframeScan};
 use monogrid_geometry::{Sim3, Vec2, Vec3};
@@ -37,6 +36,9 @@ pub(super) struct Edge {
     pub weight: f64,
 }
 
+/// Shortest straight edge that votes, as a share of the image's width.
+const MIN_EDGE: f64 = 0.06;
+
 /// Everything that votes.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Evidence {
@@ -47,10 +49,10 @@ pub(super) struct Evidence {
 
 impl Evidence {
     /// Collects it from all keyframes.
-    pub fn of(views: &[UprightView], config: &UprightConfig) -> Self {
+    pub fn of(views: &[UprightView]) -> Self {
         let seen = |view: &UprightView| {
             let planes = planes_of_image(&view.scan.pixels());
-            let min_length_px = config.min_edge * view.scan.camera.width as f64;
+            let min_length_px = MIN_EDGE * view.scan.camera.width as f64;
             let image = view.image.and_then(ImageOf::get);
             let segments = image.map(|image| segments(&image, min_length_px));
             (planes, segments)

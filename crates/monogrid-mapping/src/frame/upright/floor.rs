@@ -5,7 +5,6 @@
 //! are seen that lie lower, and through a floor nothing is.
 
 use super::evidence::{Evidence, UprightView};
-use crate::UprightConfig;
 use monogrid_geometry::median::median;
 use monogrid_geometry::{Vec2, Vec3};
 use std::collections::BTreeMap;
@@ -54,6 +53,10 @@ impl Floor {
     }
 }
 
+/// Least share of the floor among all level planes seen from above: other things than the floor are
+/// seen more.
+const MIN_SHARE: f64 = 0.05;
+
 /// A level plane of one keyframe.
 struct Level {
     height: f64,
@@ -61,12 +64,7 @@ struct Level {
 }
 
 /// Looks for it among the planes that face up.
-pub(super) fn floor(
-    views: &[UprightView],
-    evidence: &Evidence,
-    up: &Vec3,
-    config: &UprightConfig,
-) -> Option<Floor> {
+pub(super) fn floor(views: &[UprightView], evidence: &Evidence, up: &Vec3) -> Option<Floor> {
     let heights = evidence.poses.iter().map(|p| p.translation.dot(up));
     let camera = median(&mut heights.collect::<Vec<f64>>())?;
     let mut levels: Vec<Level> = evidence
@@ -86,7 +84,7 @@ pub(super) fn floor(
         let same = &levels[first..first + levels[first..].partition_point(|l| l.height <= top)];
         let weight: f64 = same.iter().map(|level| level.weight).sum();
         let is_enough = same.len() >= MIN_PLANES.min(evidence.poses.len());
-        if is_enough && weight >= config.min_floor_share * all {
+        if is_enough && weight >= MIN_SHARE * all {
             let height = weighted_median(same, 0.5 * weight);
             let camera_height = camera - height;
             return Some(Floor {

@@ -16,10 +16,12 @@ mod vote;
 pub use evidence::UprightView;
 pub use floor::Floor;
 
-use crate::UprightConfig;
 use evidence::Evidence;
 use monogrid_geometry::nalgebra::{Matrix3, Rotation3};
 use monogrid_geometry::{Rotation, Sim3, Vec3};
+
+/// Least confidence at which the scene, and not the first camera, says what is up.
+pub const MIN_UP_CONFIDENCE: f64 = 0.2;
 
 /// What is up.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,22 +38,18 @@ pub struct Upright {
 ///
 /// The result does not depend on the frame of the world: turning it turns the result.
 #[must_use]
-pub fn upright(views: &[UprightView], config: &UprightConfig) -> Option<Upright> {
-    let evidence = Evidence::of(views, config);
-    let mut upright = vote::vote(&evidence, config)?;
-    upright.floor = floor::floor(views, &evidence, &upright.up_in_world, config);
+pub fn upright(views: &[UprightView]) -> Option<Upright> {
+    let evidence = Evidence::of(views);
+    let mut upright = vote::vote(&evidence)?;
+    upright.floor = floor::floor(views, &evidence, &upright.up_in_world);
     Some(upright)
 }
 
 /// The floor for an up that is known otherwise.
 #[must_use]
-pub fn floor_below(
-    views: &[UprightView],
-    up_in_world: &Vec3,
-    config: &UprightConfig,
-) -> Option<Floor> {
-    let evidence = Evidence::of(views, config);
-    floor::floor(views, &evidence, &up_in_world.normalize(), config)
+pub fn floor_below(views: &[UprightView], up_in_world: &Vec3) -> Option<Floor> {
+    let evidence = Evidence::of(views);
+    floor::floor(views, &evidence, &up_in_world.normalize())
 }
 
 /// The frame with z along `up_in_world`, x ahead of the first camera (which the world is the frame of) and z = 0 at the

@@ -107,7 +107,7 @@ fn found(room: &Room, room_from_cameras: &[Sim3], scale: f64) -> (Upright, Vec3)
             world_from_keyframe: world_from_room * *pose,
         })
         .collect();
-    let found = upright(&views, &UprightConfig::default()).unwrap();
+    let found = upright(&views).unwrap();
     (found, first.rotation.inverse() * Vec3::z())
 }
 
@@ -182,14 +182,14 @@ fn a_rolled_camera_makes_up_doubtful_before_it_makes_it_wrong() {
 
 #[test]
 fn nothing_that_votes_is_no_direction() {
-    assert_eq!(upright(&[], &UprightConfig::default()), None);
+    assert_eq!(upright(&[]), None);
     let scan = KeyframeScan::of_measurements(0, CAMERA, Vec::new(), 0);
     let view = UprightView {
         scan: &scan,
         image: None,
         world_from_keyframe: Sim3::identity(),
     };
-    assert_eq!(upright(&[view], &UprightConfig::default()), None);
+    assert_eq!(upright(&[view]), None);
 }
 
 #[test]

@@ -2,7 +2,6 @@
 
 use super::Upright;
 use super::evidence::Evidence;
-use crate::UprightConfig;
 use monogrid_geometry::nalgebra::SymmetricEigen;
 use monogrid_geometry::{Mat3, Vec3};
 
@@ -12,17 +11,23 @@ const NUM_DIRECTIONS: usize = 6000;
 const REACH_DEG: [f64; 8] = [4.0, 4.0, 3.0, 3.0, 2.0, 2.0, 1.5, 1.5];
 /// Share of all votes, over those expected by chance, that is enough.
 const ENOUGH_SUPPORT: f64 = 0.1;
+/// Standard deviation of the roll of a hand-held camera, mean over a run, degrees.
+const ROLL_SIGMA_DEG: f64 = 20.0;
+/// Mean pitch of a hand-held camera, degrees: people look down rather than up.
+const PITCH_DEG: f64 = -15.0;
+/// Its standard deviation, degrees.
+const PITCH_SIGMA_DEG: f64 = 35.0;
 /// Directions closer than this are the same one, degrees.
 const SAME_DEG: f64 = 20.0;
 
 /// The direction that most speaks for, without a floor: searches the sphere, then adjusts the best one. Few votes, or another direction
 /// that nearly as much speaks for, make it doubtful.
-pub(super) fn vote(evidence: &Evidence, config: &UprightConfig) -> Option<Upright> {
+pub(super) fn vote(evidence: &Evidence) -> Option<Upright> {
     if evidence.poses.is_empty() || evidence.patches.is_empty() && evidence.edges.is_empty() {
         return None;
     }
     let reach = REACH_DEG[0].to_radians().sin();
-    let score = |up: &Vec3| support(evidence, up, reach) * held(evidence, up, config);
+    let score = |up: &Vec3| support(evidence, up, reach) * held(evidence, up);
     let directions = sphere(NUM_DIRECTIONS);
     let mut scored: Vec<(f64, Vec3)> = directions.map(|up| (score(&up), up)).collect();
     // equal scores in the order of the sphere
@@ -86,7 +91,7 @@ fn support(evidence: &Evidence, up: &Vec3, reach: f64) -> f64 {
 }
 
 /// How likely a camera is held so, over all keyframes: seldom rolled, not much pitched, rarely upside down.
-fn held(evidence: &Evidence, up: &Vec3, config: &UprightConfig) -> f64 {
+fn held(evidence: &Evidence, up: &Vec3) -> f64 {
     let (mut roll, mut pitch, mut above) = (0.0, 0.0, 0.0);
     for pose in &evidence.poses {
         let [right, down, ahead] = [Vec3::x(), Vec3::y(), Vec3::z()].map(|axis| {
@@ -94,7 +99,7 @@ fn held(evidence: &Evidence, up: &Vec3, config: &UprightConfig) -> f64 {
             axis.dot(up).clamp(-1.0, 1.0)
         });
         roll += right.asin().abs();
-        pitch += (ahead.asin() - config.pitch_deg.to_radians()).abs();
+        pitch += (ahead.asin() - PITCH_DEG.to_radians()).abs();
         // who looks at the ground has up ahead of the image's upper edge
         above -= down + 0.3 * ahead;
     }
@@ -103,8 +108,8 @@ fn held(evidence: &Evidence, up: &Vec3, config: &UprightConfig) -> f64 {
     }
     let in_sigmas =
         |angle: f64, sigma_deg: f64| angle / evidence.poses.len() as f64 / sigma_deg.to_radians();
-    let roll = in_sigmas(roll, config.roll_sigma_deg);
-    let pitch = in_sigmas(pitch, config.pitch_sigma_deg);
+    let roll = in_sigmas(roll, ROLL_SIGMA_DEG);
+    let pitch = in_sigmas(pitch, PITCH_SIGMA_DEG);
     (-0.5 * (roll * roll + pitch * pitch)).exp()
 }
 
