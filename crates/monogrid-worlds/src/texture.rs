@@ -1,6 +1,6 @@
 //! Grey textures with a mip pyramid and trilinear sampling.
 
-use super::noise::floor;
+use super::noise::{Octaves, floor};
 
 /// A square tile of albedo in [0, 1] that repeats, with its mip pyramid.
 ///
@@ -29,6 +29,13 @@ pub(crate) fn between([a, b, c, d]: [f32; 4], [x, y]: [f32; 2]) -> f32 {
     let top = a + x * (b - a);
     let bottom = c + x * (d - c);
     top + y * (bottom - top)
+}
+
+/// The nearest whole number, halves up, without a call.
+#[inline]
+fn rounded(texel: f32) -> u16 {
+    let below = texel as u16;
+    below + u16::from(texel - f32::from(below) >= 0.5)
 }
 
 impl Level {
@@ -63,7 +70,7 @@ impl Level {
                         sum += self.texel(x * step_x + dx, y * step_y + dy);
                     }
                 }
-                texels.push((sum / (step_x * step_y) as f32).round() as u16);
+                texels.push(rounded(sum / (step_x * step_y) as f32));
             }
         }
         Self {
@@ -79,17 +86,36 @@ impl Texture {
     /// `v` in [0, 1) at the centres of the texels, `v` running down.
     #[must_use]
     pub fn from_fn(width_log2: u32, height_log2: u32, f: impl Fn(f32, f32) -> f32 + Sync) -> Self {
+        Self::from_noise(width_log2, height_log2, [], |u, v, []| f(u, v))
+    }
+
+    /// As [`Self::from_fn`], of noise at the same place.
+    #[must_use]
+    pub fn from_noise<const N: usize>(
+        width_log2: u32,
+        height_log2: u32,
+        noise: [Octaves; N],
+        f: impl Fn(f32, f32, [f32; N]) -> f32 + Sync,
+    ) -> Self {
         use rayon::prelude::*;
         let (width, height) = (1usize << width_log2, 1usize << height_log2);
+        let us: Vec<f32> = (0..width)
+            .map(|x| (x as f32 + 0.5) / width as f32)
+            .collect();
         let mut texels = vec![0u16; width * height];
         texels
             .par_chunks_mut(width)
             .enumerate()
             .for_each(|(y, row)| {
                 let v = (y as f32 + 0.5) / height as f32;
-                for (x, texel) in row.iter_mut().enumerate() {
-                    let u = (x as f32 + 0.5) / width as f32;
-                    *texel = (f(u, v).clamp(0.0, 1.0) / TEXEL_SCALE).round() as u16;
+                let noise = noise.map(|octaves| {
+                    let mut values = vec![0.0; width];
+                    octaves.row(&us, v, &mut values);
+                    values
+                });
+                for (x, (texel, &u)) in row.iter_mut().zip(&us).enumerate() {
+                    let noise = std::array::from_fn(|k| noise[k][x]);
+                    *texel = rounded(f(u, v, noise).clamp(0.0, 1.0) / TEXEL_SCALE);
                 }
             });
         let mut levels = vec![Level {
