@@ -164,10 +164,11 @@ fn cars_are_in_the_pictures_of_the_street_and_not_in_its_mesh() {
         effects: EffectsConfig::default(),
         ..SynthConfig::small()
     };
+    let street = Arc::new(World::by_name_with("street", &LightingConfig::quick()).unwrap());
     let of_motion = |name: &str| {
         let motion = Motion::by_name(name).unwrap();
-        let quick = LightingConfig::quick();
-        SynthSequence::built_in_with("street", motion, config.clone(), &quick).unwrap()
+        let path = SynthSequence::path_for("street", motion, &config).unwrap();
+        SynthSequence::new(Arc::clone(&street), path, config.clone()).unwrap()
     };
     // the same film from its end
     let (car, back) = (of_motion("car"), of_motion("car-back"));

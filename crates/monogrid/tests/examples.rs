@@ -8,6 +8,7 @@ use std::fs;
 use std::io::{BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
+use std::sync::OnceLock;
 
 /// Most lines of an example.
 const MAX_LINES: usize = 25;
@@ -35,16 +36,20 @@ fn assert_mapped(output: &Output, map: &Path) {
     assert!(map.cell_counts().occupied > 800, "{:?}", map.cell_counts());
 }
 
-/// A short video of the built-in room at 320x240 with exact truth.
-fn small_sequence() -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    let sequence = SynthSequence::small_demo().unwrap().shortened(150);
-    let config = WriteConfig {
-        depth_every: 5,
-        with_mesh: false,
-    };
-    write_tum_layout(&sequence, folder.path(), &config, |_| {}).unwrap();
-    folder
+/// A short video of the built-in room at 320x240 with exact truth, written once.
+fn small_sequence() -> &'static Path {
+    static FOLDER: OnceLock<tempfile::TempDir> = OnceLock::new();
+    let folder = FOLDER.get_or_init(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let sequence = SynthSequence::small_demo().unwrap().shortened(150);
+        let config = WriteConfig {
+            depth_every: 5,
+            with_mesh: false,
+        };
+        write_tum_layout(&sequence, folder.path(), &config, |_| {}).unwrap();
+        folder
+    });
+    folder.path()
 }
 
 /// A scan file with a wall of points two metres ahead of a sensor one metre above the origin.
@@ -105,9 +110,9 @@ fn examples_fit_on_a_page() {
 fn a_camera_and_own_images_become_maps() {
     let dir = tempfile::tempdir().unwrap();
     let sequence = small_sequence();
-    let calibration = sequence.path().join("calibration.txt");
+    let calibration = sequence.join("calibration.txt");
     let (video, map) = (dir.path().join("a.y4m"), dir.path().join("a.ot"));
-    let rgb = raw_rgb(sequence.path());
+    let rgb = raw_rgb(sequence);
     let mut file = fs::File::create(&video).unwrap();
     file.write_all(b"YUV4MPEG2 W320 H240 F30:1 Cmono\n")
         .unwrap();
@@ -153,8 +158,7 @@ fn scans_and_depth_images_become_maps() {
         .unwrap();
     assert_mapped(&output, &map);
 
-    let (sequence, map) = (small_sequence(), dir.path().join("depth.ot"));
-    let folder = sequence.path();
+    let (folder, map) = (small_sequence(), dir.path().join("depth.ot"));
     let mut command = example("depth_and_poses");
     command.arg(folder).arg(folder.join("calibration.txt"));
     let output = command

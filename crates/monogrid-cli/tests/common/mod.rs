@@ -1,12 +1,15 @@
 //! Helpers of the tests that run the program.
 #![allow(dead_code, reason = "every test file uses a part")]
 
-use monogrid_worlds::{SynthSequence, WriteConfig, write_tum_layout};
+use monogrid_worlds::{
+    Carrier, EffectsConfig, LightingConfig, SynthConfig, SynthSequence, World, WriteConfig,
+    usual_frames, write_tum_layout,
+};
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output};
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 /// The program.
 pub fn program() -> Command {
@@ -64,13 +67,42 @@ pub fn json(output: &Output) -> serde_json::Value {
 /// Frames of the small sequence: enough for a start and some keyframes.
 pub const SMALL_FRAMES: usize = 150;
 
+/// The way of a hand through the built-in room, which is made once per test program.
+pub fn room(config: SynthConfig) -> SynthSequence {
+    static WORLD: OnceLock<Arc<World>> = OnceLock::new();
+    let name = "living-room";
+    let quick = LightingConfig::quick();
+    let world = WORLD.get_or_init(|| Arc::new(World::by_name_with(name, &quick).unwrap()));
+    let path = SynthSequence::path_for(name, Carrier::Hand.into(), &config).unwrap();
+    SynthSequence::new(Arc::clone(world), path, config).unwrap()
+}
+
+/// The beginning of a slower way, in images and their times.
+pub fn render(folder: &Path, effects: EffectsConfig, frames: usize) {
+    let config = SynthConfig {
+        frames: usual_frames("living-room"),
+        effects,
+        ..SynthConfig::small()
+    };
+    write_images(&room(config).shortened(frames), folder);
+}
+
+/// Images and their times, without any depth.
+pub fn write_images(sequence: &SynthSequence, folder: &Path) {
+    let config = WriteConfig {
+        depth_every: 0,
+        with_mesh: false,
+    };
+    write_tum_layout(sequence, folder, &config, |_| {}).unwrap();
+}
+
 /// A short video of the built-in room at 320x240 with exact truth, written once per test program.
 pub fn small_sequence() -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
     FOLDER.get_or_init(|| {
         let folder = std::env::temp_dir().join(format!("monogrid-small-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
-        let sequence = SynthSequence::small_demo().unwrap().shortened(SMALL_FRAMES);
+        let sequence = room(SynthConfig::small()).shortened(SMALL_FRAMES);
         let config = WriteConfig {
             depth_every: 5,
             with_mesh: false,

@@ -1,6 +1,6 @@
 //! The pipeline as a library: what a viewer, a live camera or a robot writes, and that it finds what the program finds.
 
-use crate::common::{SMALL_FRAMES, code, json, monogrid, small_sequence, stderr};
+use crate::common::{SMALL_FRAMES, code, json, monogrid, room, small_sequence, stderr};
 use monogrid_datasets::{Calibration, read_gray};
 use monogrid_geometry::Camera;
 use monogrid_image::GrayImage;
@@ -8,7 +8,7 @@ use monogrid_inertial::Imu;
 use monogrid_mapping::z_up_from_camera_world;
 use monogrid_occupancy::{OccupancyMap, write_ot};
 use monogrid_pipeline::{Event, Finished, Pipeline, Settings, SourceFrame, Unusable};
-use monogrid_worlds::{ImuConfig, SynthSequence, imu_samples};
+use monogrid_worlds::{ImuConfig, SynthConfig, imu_samples};
 use std::fs;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
@@ -118,7 +118,7 @@ fn fifteen_lines_find_the_map_that_the_program_finds() {
 /// The readings of an inertial sensor beside the camera, and the same sensor without any.
 fn inertial() -> (Imu, Imu) {
     let config = ImuConfig::default();
-    let sequence = SynthSequence::small_demo().unwrap();
+    let sequence = room(SynthConfig::small());
     let samples = imu_samples(sequence.path(), &config, 0, 10.0);
     let mount = config.camera_from_imu.inverse();
     let sensor = |samples| Imu::new(samples, config.noise, mount);

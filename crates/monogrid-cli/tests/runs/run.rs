@@ -2,17 +2,17 @@
 #![allow(clippy::too_many_lines, reason = "a test tells its story in one place")]
 
 use crate::common::{
-    assert_fails, code, copy_of_small_sequence, files, json, monogrid, program, small_sequence,
-    stderr,
+    assert_fails, code, copy_of_small_sequence, files, json, monogrid, program, room,
+    small_sequence, stderr, write_images,
 };
 use monogrid_bags::Bag;
 use monogrid_datasets::{
-    ReadOptions, Recording, TimedPose, decode_jpeg_rgb, encode_png_rgb, read_gray, read_sim3,
-    read_trajectory,
+    Calibration, ReadOptions, Recording, TimedPose, decode_jpeg_rgb, encode_png_rgb, read_gray,
+    read_sim3, read_trajectory,
 };
 use monogrid_geometry::Vec3;
 use monogrid_occupancy::{Occupancy, read_ot};
-use monogrid_worlds::{ImuConfig, SynthSequence, write_sequence_imu};
+use monogrid_worlds::{EffectsConfig, ImuConfig, SynthConfig, write_sequence_imu};
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -281,23 +281,21 @@ fn what_nobody_told_of_the_camera_is_found() {
     let pinhole = "251 251 159.5 119.5 320 240";
     fs::write(file("pinhole.txt"), pinhole).unwrap();
     fs::write(file("lens.txt"), "251 251 159.5 119.5 0.03 0 0 0 320 240").unwrap();
-    let synth =
-        "synth living-room --frames 300 --max-frames 150 --depth-every 0 --quick-light --force";
     // the lens of the world, its rolling shutter, and what is found although the calibration says a pinhole
-    for (lens, readout, found) in [
-        ("pinhole.txt", "25", "rolling shutter"),
-        ("lens.txt", "0", "radial distortion"),
+    for (lens, readout_ms, found) in [
+        ("pinhole.txt", 25.0, "rolling shutter"),
+        ("lens.txt", 0.0, "radial distortion"),
     ] {
-        let mut args: Vec<_> = synth.split(' ').map(Into::into).collect();
-        args.extend([
-            "--rolling-shutter".into(),
-            readout.into(),
-            "--calibration".into(),
-            file(lens),
-        ]);
-        args.extend(["--out".into(), file("world")]);
-        let made = monogrid(args);
-        assert_eq!(code(&made), 0, "{}", stderr(&made));
+        let config = SynthConfig {
+            camera: Calibration::read(&file(lens), None).unwrap().camera,
+            frames: 300,
+            effects: EffectsConfig {
+                readout_secs: readout_ms / 1e3,
+                ..EffectsConfig::demo()
+            },
+            ..SynthConfig::small()
+        };
+        write_images(&room(config).shortened(150), &file("world"));
         fs::write(file("world").join("calibration.txt"), pinhole).unwrap();
         let run = [
             "run".into(),
@@ -313,8 +311,7 @@ fn what_nobody_told_of_the_camera_is_found() {
         assert_eq!(code(&output), 0, "{}", stderr(&output));
         let summary = json(&output);
         let found_ms = summary["rolling_shutter_ms"].as_f64().unwrap();
-        let difference_ms = found_ms - readout.parse::<f64>().unwrap();
-        assert!(difference_ms.abs() < 4.0, "{found_ms}");
+        assert!((found_ms - readout_ms).abs() < 4.0, "{found_ms}");
         let warnings = summary["warnings"].to_string();
         for word in ["rolling shutter", "radial distortion"] {
             assert_eq!(warnings.contains(word), word == found, "{warnings}");
@@ -654,8 +651,7 @@ fn an_inertial_sensor_makes_results_metric_and_level() {
     let dir = tempfile::tempdir().unwrap();
     let source = dir.path().join("source");
     copy_of_small_sequence(&source);
-    let sequence = SynthSequence::small_demo().unwrap();
-    let sequence = sequence.shortened(crate::common::SMALL_FRAMES);
+    let sequence = room(SynthConfig::small()).shortened(crate::common::SMALL_FRAMES);
     write_sequence_imu(&sequence, &source, &ImuConfig::default()).unwrap();
     let output = monogrid([Path::new("check"), &source, Path::new("--json")]);
     let imu = &json(&output)["imu"];

@@ -1,10 +1,10 @@
 //! Sources that stall, vanish, or end as they should not: a run can be interrupted at any moment, and says what happened.
 #![cfg(unix)]
 
-use crate::common::{WITHOUT_DENSE_DEPTH, code, monogrid, program, stderr};
+use crate::common::{WITHOUT_DENSE_DEPTH, code, monogrid, program, room, stderr};
 use monogrid_datasets::{encode_jpeg, encode_png};
 use monogrid_image::{Image, to_gray8};
-use monogrid_worlds::SynthSequence;
+use monogrid_worlds::SynthConfig;
 use std::fs;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -25,7 +25,7 @@ const FOREVER: Duration = Duration::from_secs(120);
 fn images() -> &'static [Image<u8>] {
     static IMAGES: OnceLock<Vec<Image<u8>>> = OnceLock::new();
     IMAGES.get_or_init(|| {
-        let sequence = SynthSequence::small_demo().unwrap().shortened(FRAMES);
+        let sequence = room(SynthConfig::small()).shortened(FRAMES);
         let frames = (0..FRAMES).map(|index| sequence.frame(index).unwrap().image);
         frames.map(|image| image.map(to_gray8)).collect()
     })

@@ -1,7 +1,8 @@
 //! Videos as sources, with and without a calibration.
 
 use crate::common::{
-    WITHOUT_DENSE_DEPTH, assert_fails, code, data, json, monogrid, program, small_sequence, stderr,
+    WITHOUT_DENSE_DEPTH, assert_fails, code, data, json, monogrid, program, render, small_sequence,
+    stderr,
 };
 use monogrid_bags::McapWriter;
 use monogrid_datasets::{
@@ -12,6 +13,7 @@ use monogrid_image::Image;
 use monogrid_messages::builtin_interfaces::Time;
 use monogrid_messages::sensor_msgs::{CameraInfo, CompressedImage};
 use monogrid_messages::std_msgs::Header;
+use monogrid_worlds::EffectsConfig;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
@@ -85,19 +87,6 @@ fn a_wrong_calibration_of_real_data_is_noticed_while_the_map_grows() {
     assert!(warnings.contains("focal length is 300.0 px"), "{warnings}");
 }
 
-/// The way of a hand through a world, 320x240.
-fn render(folder: &Path, options: [&str; 4]) {
-    let made = program()
-        .args(["synth", "living-room", "--size", "320x240", "--quick-light"])
-        .args(["--depth-every", "0", "--truth-resolution", "0.5"])
-        .args(options)
-        .arg("--out")
-        .arg(folder)
-        .output()
-        .unwrap();
-    assert_eq!(code(&made), 0, "{}", stderr(&made));
-}
-
 /// A picture turned clockwise by a quarter.
 fn turned(image: &Image<u8>) -> Image<u8> {
     let (width, height) = (image.width(), image.height());
@@ -108,7 +97,14 @@ fn turned(image: &Image<u8>) -> Image<u8> {
 fn the_rolling_shutter_of_a_camera_that_was_held_upright() {
     let dir = tempfile::tempdir().unwrap();
     let [level, upright] = ["level", "upright"].map(|name| dir.path().join(name));
-    render(&level, ["--rolling-shutter", "25", "--max-frames", "120"]);
+    let made = program()
+        .args(["synth", "living-room", "--size", "320x240", "--quick-light"])
+        .args(["--depth-every", "0", "--truth-resolution", "0.5"])
+        .args(["--rolling-shutter", "25", "--max-frames", "120", "--out"])
+        .arg(&level)
+        .output()
+        .unwrap();
+    assert_eq!(code(&made), 0, "{}", stderr(&made));
     fs::create_dir_all(upright.join("rgb")).unwrap();
     fs::copy(level.join("rgb.txt"), upright.join("rgb.txt")).unwrap();
     for entry in fs::read_dir(level.join("rgb")).unwrap() {
@@ -130,7 +126,7 @@ fn the_rolling_shutter_of_a_camera_that_was_held_upright() {
 fn the_keyframes_of_a_video_are_in_colour() {
     let dir = tempfile::tempdir().unwrap();
     let [world, video, out] = ["world", "red.y4m", "out"].map(|name| dir.path().join(name));
-    render(&world, ["--noise", "off", "--max-frames", "60"]);
+    render(&world, EffectsConfig::default(), 60);
     let mut bytes = b"YUV4MPEG2 W320 H240 F30:1 C420jpeg XCOLORRANGE=FULL\n".to_vec();
     let frames = fs::read_dir(world.join("rgb")).unwrap();
     let mut paths: Vec<PathBuf> = frames.map(|entry| entry.unwrap().path()).collect();
@@ -189,7 +185,11 @@ fn colour_beside_grey(keyframe: &RecordedKeyframe) -> [f64; 2] {
 fn colours_lie_where_a_rolling_shutter_was_taken_out() {
     let dir = tempfile::tempdir().unwrap();
     let [world, out] = ["world", "out"].map(|name| dir.path().join(name));
-    render(&world, ["--rolling-shutter", "30", "--max-frames", "80"]);
+    let effects = EffectsConfig {
+        readout_secs: 0.03,
+        ..EffectsConfig::demo()
+    };
+    render(&world, effects, 80);
     for entry in fs::read_dir(world.join("rgb")).unwrap() {
         let path = entry.unwrap().path();
         let tinted = read_gray(&path).unwrap().map(|grey| {
