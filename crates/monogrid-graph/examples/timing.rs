@@ -5,7 +5,7 @@
     reason = "a program for developers"
 )]
 
-#[path = "../tests/common/mod.rs"]
+#[path = "../tests/suite/common/mod.rs"]
 mod common;
 
 use common::{PINHOLE, Random, SceneOptions, cpu_seconds, disturb, scene};

@@ -1,0 +1,5 @@
+//! Tests of depth on rendered images; one program, so that it links once.
+
+mod sequence;
+mod stereo;
+mod world;
