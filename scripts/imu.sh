@@ -64,7 +64,7 @@ awk '{ n++; e = $3 < 0 ? -$3 : $3
   }' "$rows"
 
 if [ -z "${BLACKOUT:-}" ]; then
-  cargo build --quiet --release -p monogrid-slam --example blackout
+  cargo build --quiet --release -p monogrid-studies --example blackout
   BLACKOUT=${CARGO_TARGET_DIR:-target}/release/examples/blackout
 fi
 dark=$folder/dark

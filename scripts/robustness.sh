@@ -23,7 +23,7 @@ if [ -z "$rows" ]; then
 fi
 touch "$rows"
 if [ -z "${BIN:-}" ]; then
-  cargo build --quiet --release -p monogrid-slam --example robustness
+  cargo build --quiet --release -p monogrid-studies --example robustness
   BIN=${CARGO_TARGET_DIR:-target}/release/examples/robustness
 fi
 

@@ -1,6 +1,6 @@
 //! What a disturbance does to a run: one row of the robustness matrix (`scripts/robustness.sh`).
 //!
-//! `cargo run --release -p monogrid-slam --example robustness -- WORLD DISTURBANCE [seed=I] [frames=N] [imu=1] [list=1]`
+//! `cargo run --release -p monogrid-studies --example robustness -- WORLD DISTURBANCE [seed=I] [frames=N] [imu=1] [list=1]`
 //!
 //! A built-in world at 320x240, carried by hand (`street`: by a car), with the noise of the
 //! demonstration. Disturbances: `low-rate`, `blur`, `exposure-jumps`, `black-frames`, `person`,
@@ -13,17 +13,15 @@
     reason = "a tool for development, read from top to bottom"
 )]
 
-mod options;
-
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, WrongPose, evaluate_trajectory};
 use monogrid_image::{GrayImage, Mask};
 use monogrid_inertial::Imu;
 use monogrid_slam::{FrameInput, Slam, SlamConfig, TrackingState};
+use monogrid_studies::Options;
 use monogrid_worlds::{
     Carrier, EffectsConfig, ImuConfig, LightingConfig, NoiseConfig, SynthConfig, SynthSequence,
     imu_samples, usual_frames,
 };
-use options::Options;
 use std::sync::Arc;
 
 /// Frames in which a built-in motion goes its way at walking pace (in the street at that of a car),

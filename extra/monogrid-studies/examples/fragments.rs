@@ -1,7 +1,7 @@
 //! Fragments of the map: the video jumps to a part that was never seen, and comes back to the known
 //! part.
 //!
-//! `cargo run --release -p monogrid-slam --example fragments -- FOLDER parts=0-300,900-200
+//! `cargo run --release -p monogrid-studies --example fragments -- FOLDER parts=0-300,900-200
 //! [key=value …]`
 //!
 //! `parts` are played one after the other as one video; a part `900-200` is played backwards;
@@ -20,15 +20,11 @@
     reason = "a tool for development, read from top to bottom"
 )]
 
-mod options;
-mod sequence;
-
 use monogrid_geometry::{Rotation, Se3, Sim3, Vec3, align_similarity};
 use monogrid_image::GrayImage;
 use monogrid_slam::settings::SLAM;
 use monogrid_slam::{FrameInput, Slam, SlamConfig, TrackingState};
-use options::Options;
-use sequence::Sequence;
+use monogrid_studies::{Options, Sequence};
 use std::path::Path;
 
 /// A frame of the video: scene and frame, or a covered lens.

@@ -1,7 +1,7 @@
 //! Up and the floor of recordings, and of the built-in worlds entered with a tilted camera.
 //!
-//! `cargo run --release -p monogrid-mapping --example upright -- RECORDING...`
-//! `cargo run --release -p monogrid-mapping --example upright -- worlds`
+//! `cargo run --release -p monogrid-studies --example upright -- RECORDING...`
+//! `cargo run --release -p monogrid-studies --example upright -- worlds`
 //!
 //! A line per recording: up (x right, y down, z ahead of the first camera), its confidence, the floor, seconds.
 //!

@@ -1,5 +1,4 @@
 //! A sequence with its true poses and depth, as the examples read it.
-#![allow(dead_code, reason = "each example uses a part")]
 
 use monogrid_datasets::{
     Dataset, DepthRegistration, SourceOptions, TimedPose, read_depth, read_gray, read_trajectory,
@@ -11,7 +10,9 @@ use std::path::Path;
 
 /// A folder with images, and what is known to be true about them.
 pub struct Sequence {
+    /// The folder.
     pub dataset: Dataset,
+    /// Makes working images of its images.
     pub undistorter: Undistorter,
     /// Empty where the folder has no poses.
     pub truth: Vec<TimedPose>,
@@ -25,6 +26,7 @@ impl Sequence {
         Self::open_with_size(folder, WorkingSize::AUTOMATIC)
     }
 
+    /// Opens a folder, with working images of a size.
     pub fn open_with_size(folder: impl AsRef<Path>, size: WorkingSize) -> Self {
         let dataset = Dataset::open(folder.as_ref(), SourceOptions::default()).unwrap();
         let camera = dataset.calibration(None).unwrap().unwrap().camera;
@@ -44,6 +46,7 @@ impl Sequence {
         }
     }
 
+    /// The camera of the working images.
     pub fn pinhole(&self) -> &Pinhole {
         self.undistorter.pinhole()
     }

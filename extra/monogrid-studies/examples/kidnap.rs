@@ -1,6 +1,6 @@
 //! Loss and return: frames are covered for one or five seconds, or the video jumps to another part.
 //!
-//! `cargo run --release -p monogrid-slam --example kidnap -- FOLDER [cases] [frames before the loss]`
+//! `cargo run --release -p monogrid-studies --example kidnap -- FOLDER [cases] [frames before the loss]`
 //!
 //! Each case prints whether the camera was found again, after how many frames of video, and the
 //! largest error of a pose that was reported afterwards (aligned on the frames before the loss). A
@@ -12,12 +12,10 @@
     reason = "a tool for development, read from top to bottom"
 )]
 
-mod sequence;
-
 use monogrid_geometry::{Rotation, Se3, Vec3, align_similarity};
 use monogrid_image::GrayImage;
 use monogrid_slam::{FrameInput, SlamConfig};
-use sequence::Sequence;
+use monogrid_studies::Sequence;
 
 /// What happens at the loss.
 #[derive(Debug)]

@@ -1,7 +1,7 @@
 //! Two seconds without a picture, with and without an inertial sensor: where the camera is
 //! afterwards (`scripts/imu.sh`).
 //!
-//! `cargo run --release -p monogrid-slam --example blackout -- WORLD known|unknown [seed=I] [imu=0]
+//! `cargo run --release -p monogrid-studies --example blackout -- WORLD known|unknown [seed=I] [imu=0]
 //! [before=SECONDS] [small=1]`
 //!
 //! A built-in world at 640x480 (`small`: 320x240), carried by hand, with the noise of the
@@ -15,18 +15,16 @@
     reason = "a tool for development, read from top to bottom"
 )]
 
-mod options;
-
 use monogrid_datasets::TimedPose;
 use monogrid_geometry::{Sim3, Vec3, align_similarity};
 use monogrid_image::Mask;
 use monogrid_inertial::{Imu, ImuNoise};
 use monogrid_slam::settings::SLAM;
 use monogrid_slam::{FrameInput, MAIN_MAP, Slam, SlamConfig};
+use monogrid_studies::Options;
 use monogrid_worlds::{
     CameraPath, Carrier, ImuConfig, LightingConfig, SynthConfig, SynthSequence, World, imu_samples,
 };
-use options::Options;
 use std::sync::Arc;
 
 /// Length of the dark, s.

@@ -1,7 +1,7 @@
 //! Runs the system on a sequence and prints trajectory and depth errors: the loop in which its
 //! parameters are found.
 //!
-//! `cargo run --release -p monogrid-slam --example accuracy -- FOLDER [key=value …]`
+//! `cargo run --release -p monogrid-studies --example accuracy -- FOLDER [key=value …]`
 //!
 //! Keys: `seed=I`, `start=N`, `every=N` (a slower camera), `max=N` (frames), `profile=thesis`,
 //! `init=depth` (metric start from the sequence's depth image), `truth_every=N` (evaluate the depth
@@ -12,15 +12,11 @@
     reason = "a tool for development, read from top to bottom"
 )]
 
-mod options;
-mod sequence;
-
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};
 use monogrid_image::GrayImage;
 use monogrid_slam::settings::SLAM;
 use monogrid_slam::{FrameInput, FrameReport, Keyframe, Slam, SlamConfig, TrackingState};
-use options::Options;
-use sequence::Sequence;
+use monogrid_studies::{Options, Sequence};
 
 fn main() {
     let mut args = std::env::args().skip(1);

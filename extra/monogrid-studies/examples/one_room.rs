@@ -1,6 +1,6 @@
 //! A camera that stays in one place: plays a sequence forth and back and prints what grows.
 //!
-//! `cargo run --release -p monogrid-slam --example one_room -- FOLDER [key=value …]`
+//! `cargo run --release -p monogrid-studies --example one_room -- FOLDER [key=value …]`
 //!
 //! Keys: `frames=N` (to play in all, default 18000), `max=N` (use the first N images), `shift=N`
 //! (each way back and forth begins N images later: not the same views), `size=WxH`, and settings as
@@ -12,15 +12,11 @@
     reason = "a tool for development, read from top to bottom"
 )]
 
-mod options;
-mod sequence;
-
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};
 use monogrid_image::{Image, WorkingSize};
 use monogrid_slam::settings::SLAM;
 use monogrid_slam::{FrameInput, Slam, SlamConfig};
-use options::Options;
-use sequence::Sequence;
+use monogrid_studies::{Options, Sequence};
 
 /// Time between two frames.
 const INTERVAL_NS: i64 = 33_333_333;

@@ -1,7 +1,7 @@
 //! How long the global map needs after a loop closure that moves every keyframe, and what that costs
 //! tracking meanwhile.
 //!
-//! `cargo run --release -p monogrid-mapping --example live_maps -- RECORDING FOLDER [key=value …]`
+//! `cargo run --release -p monogrid-studies --example live_maps -- RECORDING FOLDER [key=value …]`
 //!
 //! Keys: `res=M` (edge of a cell), `keyframes=N` (keyframes of the recording are repeated up to this
 //! number, as seen a little later), `closures=N`, `frames=N` of FOLDER to track beside the closures.
@@ -14,9 +14,6 @@
     reason = "a tool for development, read from top to bottom"
 )]
 
-mod options;
-mod sequence;
-
 use monogrid_datasets::{ReadOptions, Recording};
 use monogrid_geometry::{Sim3, Vec7};
 use monogrid_image::GrayImage;
@@ -25,8 +22,7 @@ use monogrid_mapping::{
 };
 use monogrid_occupancy::{OccupancyMap, write_ot};
 use monogrid_slam::{DepthPixel, FrameInput, PoseSnapshot, SlamConfig};
-use options::Options;
-use sequence::Sequence;
+use monogrid_studies::{Options, Sequence};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

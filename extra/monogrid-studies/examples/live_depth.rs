@@ -1,6 +1,6 @@
 //! How much of the final map the map has that is read while it grows.
 //!
-//! `cargo run --release -p monogrid-mapping --example live_depth -- FOLDER OUT [res=M] [frames=N]
+//! `cargo run --release -p monogrid-studies --example live_depth -- FOLDER OUT [res=M] [frames=N]
 //! [mapping settings=VALUE …]`
 //!
 //! Tracks the images of FOLDER, with the true depth of the first one where there is some, and gives
@@ -14,9 +14,6 @@
     reason = "a tool for development, read from top to bottom"
 )]
 
-mod options;
-mod sequence;
-
 use monogrid_geometry::{Sim3, Vec3, align_similarity};
 use monogrid_mapping::{
     KeyframeCamera, LiveMaps, MAPPING, Mapper, MappingConfig, Waiting, final_scans_of,
@@ -24,8 +21,7 @@ use monogrid_mapping::{
 };
 use monogrid_occupancy::{OccupancyMap, write_ot};
 use monogrid_slam::{Event, FrameInput, Slam, SlamConfig};
-use options::Options;
-use sequence::Sequence;
+use monogrid_studies::{Options, Sequence};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

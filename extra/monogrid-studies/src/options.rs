@@ -1,5 +1,4 @@
 //! `name=value` arguments of the examples.
-#![allow(dead_code, reason = "each example uses a part")]
 
 use monogrid_slam::settings::{Settings, apply};
 use std::collections::BTreeMap;
