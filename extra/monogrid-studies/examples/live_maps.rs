@@ -21,7 +21,7 @@ use monogrid_mapping::{
     KeyframeCamera, KeyframeScan, LiveMaps, Mapper, MappingConfig, z_up_from_camera_world,
 };
 use monogrid_occupancy::{OccupancyMap, write_ot};
-use monogrid_slam::{DepthPixel, FrameInput, PoseSnapshot, SlamConfig};
+use monogrid_slam::{FrameInput, PoseSnapshot, SlamConfig};
 use monogrid_studies::{Options, Sequence};
 use std::path::Path;
 use std::sync::Arc;
