@@ -238,7 +238,7 @@ pub fn quality(map: &DepthMap, depth: &GrayImage, min_validity: u8) -> Quality {
                 continue;
             }
             textured += 1;
-            let Some(DepthPixel {
+            let Some(&DepthPixel {
                 idepth, idepth_var, ..
             }) = known.get(&(x, y))
             else {
