@@ -27,8 +27,10 @@ from pathlib import Path
 MAX_BYTES = 1 << 20
 MAX_MEMORY_KB = 500_000
 MAX_SECONDS = 20
-# of time on the clock, after which a command is ended: the machine may be busy
-PATIENCE_SECONDS = 90
+# A command is ended after this much time of the processor, so that what it takes is known to be too much,
+MAX_SECONDS_MEASURED = 2 * MAX_SECONDS
+# and after this much on the clock, in case it waits for ever: the machine may be busy.
+PATIENCE_SECONDS = 900
 
 BOMBS = {}
 
@@ -160,7 +162,7 @@ def images(folder, picture, ending, count=None):
     return folder
 
 
-IMAGE_COMMANDS = ["check IN", "check IN --fov 60", "run IN --fov 60 --out OUT", "run IN --out OUT", "vocabulary IN --out OUT", "calibrate IN --board 9x6"]
+IMAGE_COMMANDS = ["check IN", "check IN --fov 60", "run IN --fov 60 --out OUT", "run IN --out OUT", "thesis vocabulary IN --every 1 --threads 8 --out OUT", "calibrate IN --board 9x6"]
 SEQUENCE = IMAGE_COMMANDS[:4]
 
 
@@ -174,7 +176,7 @@ def plain_png_of_one_bit(folder):
     return images(folder, png(3500, 3500, 1), "png")
 
 
-@bomb("check IN --fov 60", "run IN --fov 60 --out OUT", "vocabulary IN --out OUT")
+@bomb("check IN --fov 60", "run IN --fov 60 --out OUT", "thesis vocabulary IN --every 1 --threads 8 --out OUT")
 def plain_png_in_colour_of_16_bits(folder):
     return images(folder, png(2900, 2900, 16, 6), "png", 8)
 
@@ -187,6 +189,11 @@ def plain_jpeg(folder):
 @bomb(*SEQUENCE)
 def jpeg_of_many_scans(folder):
     return images(folder, progressive_jpeg(3500, 3500, 1000), "jpg")
+
+
+@bomb(*SEQUENCE)
+def jpeg_of_as_many_scans_as_are_read(folder):
+    return images(folder, progressive_jpeg(3500, 3500, 95), "jpg")
 
 
 @bomb(*SEQUENCE)
@@ -243,6 +250,14 @@ def zip_whose_entries_are_one(folder):
         central += struct.pack("<IHHHHHHIIIHHHHHII", 0x02014B50, 20, 20, 0, 0, 0, 33, crc, len(picture), len(picture), len(name), 0, 0, 0, 0, 0, 0) + name
     path = folder / "a.zip"
     path.write_bytes(local + central + struct.pack("<IHHHHIIH", 0x06054B50, 0, 0, count, count, len(central), len(local), 0))
+    return path
+
+
+@bomb(*IMAGE_COMMANDS)
+def zip_of_folders_in_folders(folder):
+    path = folder / "a.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("a/" * 32_000 + "0.png", png(16, 16))
     return path
 
 
@@ -389,6 +404,27 @@ def bt_of_full_cubes(folder):
     header = b"# Octomap OcTree binary file\nid OcTree\nsize 1\nres 0.05\ndata\n"
     node = b"\xff\xff" + b"\x99\x66" * 8
     return write_map(folder, "a.bt", header + bytes([3, 0]) * 9 + node)
+
+
+def room(cubes):
+    """Cubes of 128 cells of free space, side by side, in 90 bytes."""
+    node = lambda kinds: sum(kind << 2 * octant for octant, kind in enumerate(kinds)).to_bytes(2, "little")
+    header = b"# Octomap OcTree binary file\nid OcTree\nsize 1\nres 0.05\ndata\n"
+    path = node([0] * 7 + [3]) + node([3] + [0] * 7) * 7
+    return header + path + node([3] * cubes + [0] * (8 - cubes)) + node([1] * 8) * cubes
+
+
+ROOMS = MAPS + ["plan IN 1,1,1 5,5,12 --robot-radius 0.2", "plan IN 1,1,1 5,5,12 --robot-radius 0.2 --through-unknown", "evaluate paths IN IN --pairs 100000"]
+
+
+@bomb(*ROOMS)
+def bt_of_a_free_cube(folder):
+    return write_map(folder, "a.bt", room(1))
+
+
+@bomb(*ROOMS)
+def bt_of_a_free_room(folder):
+    return write_map(folder, "a.bt", room(6))
 
 
 class Coder:
@@ -812,8 +848,8 @@ class Bits:
         return bytes(out)
 
 
-def h264(columns, rows, references=1):
-    """Parameter sets, a plain picture and one that repeats what came before, of so many macroblocks."""
+def h264(columns, rows, references=1, start=0):
+    """Parameter sets, a plain picture and a slice that repeats what came before, from a macroblock on, of so many macroblocks."""
     sps = Bits()
     sps.u(66, 8), sps.u(0xC0, 8), sps.u(51, 8)
     for value in (0, 0, 2, references):  # id, bits of frame numbers, order of pictures by their number, references
@@ -830,8 +866,8 @@ def h264(columns, rows, references=1):
         first.ue(3), first.ue(0), first.ue(0), first.u(1, 1)  # one prediction, no residual
     def again(number):
         bits = Bits()
-        bits.ue(0), bits.ue(5), bits.ue(0), bits.u(number % 16, 4), bits.u(0, 1), bits.u(0, 1), bits.u(0, 1), bits.ue(0)
-        bits.ue(columns * rows)
+        bits.ue(start), bits.ue(5), bits.ue(0), bits.u(number % 16, 4), bits.u(0, 1), bits.u(0, 1), bits.u(0, 1), bits.ue(0)
+        bits.ue(columns * rows - start)
         return bits.unit(0x41)
 
     return sps.unit(0x67), pps.unit(0x68), first.unit(0x65), again
@@ -842,9 +878,11 @@ def box(kind, *content):
     return struct.pack(">I", 8 + len(content)) + kind + content
 
 
-def mp4(columns, rows, count, references=1, claims=None):
-    sps, pps, first, again = h264(columns, rows, references)
-    samples = [struct.pack(">I", len(first)) + first] + [struct.pack(">I", len(again(n))) + again(n) for n in range(1, count)]
+def mp4(columns, rows, count, references=1, claims=None, group=1, picture=lambda number: number, start=0, shown=None):
+    """Of so many slices, `group` of them in a sample, each of the picture that is named; the last `shown` samples alone are shown."""
+    sps, pps, first, again = h264(columns, rows, references, start)
+    units = [struct.pack(">I", len(unit)) + unit for unit in [first] + [again(picture(n)) for n in range(1, count)]]
+    samples = units[:1] + [b"".join(units[n : n + group]) for n in range(1, count, group)]
     data = b"".join(samples)
     ftyp = box(b"ftyp", b"isom\0\0\0\0isomavc1")
     width, height = columns * 16, rows * 16
@@ -866,8 +904,9 @@ def mp4(columns, rows, count, references=1, claims=None):
         box(b"mdhd", struct.pack(">IIIIIHH", 0, 0, 0, 30, total % 2**32, 0x55C4, 0)),
         box(b"hdlr", struct.pack(">II", 0, 0), b"vide", bytes(12), b"\0"),
         box(b"minf", box(b"vmhd", struct.pack(">IQ", 1, 0)), box(b"dinf", box(b"dref", struct.pack(">II", 0, 1), box(b"url ", struct.pack(">I", 1)))), table))
+    edits = box(b"edts", box(b"elst", struct.pack(">IIIiI", 0, 1, shown, total - shown, 65536))) if shown else b""
     track = box(b"trak", box(b"tkhd", struct.pack(">IIIIII", 7, 0, 0, 1, 0, total % 2**32), bytes(8), struct.pack(">HHHH", 0, 0, 0, 0), matrix,
-                              struct.pack(">II", width << 16 & 0xFFFFFFFF, height << 16 & 0xFFFFFFFF)), media)
+                              struct.pack(">II", width << 16 & 0xFFFFFFFF, height << 16 & 0xFFFFFFFF)), edits, media)
     movie = box(b"moov", box(b"mvhd", struct.pack(">IIIII", 0, 0, 0, 30, total % 2**32), struct.pack(">IH", 0x10000, 0x100), bytes(10), matrix, bytes(24), struct.pack(">I", 2)), track)
     return ftyp + box(b"mdat", data) + movie
 
@@ -901,6 +940,41 @@ def mp4_of_larger_pictures(folder):
     # which ffmpeg decodes
     path = folder / "a.mp4"
     path.write_bytes(mp4(512, 256, 20_000))
+    return path
+
+
+@bomb(*VIDEO)
+def mp4_of_the_largest_pictures(folder):
+    path = folder / "a.mp4"
+    path.write_bytes(mp4(900, 900, 2000))
+    return path
+
+
+@bomb(*VIDEO)
+def mp4_of_larger_pictures_that_refers_to_much(folder):
+    path = folder / "a.mp4"
+    path.write_bytes(mp4(512, 256, 20_000, references=16))
+    return path
+
+
+@bomb(*VIDEO)
+def mp4_of_many_pictures_in_a_sample(folder):
+    path = folder / "a.mp4"
+    path.write_bytes(mp4(256, 144, 30_000, group=1000))
+    return path
+
+
+@bomb(*VIDEO)
+def mp4_of_slices_over_each_other(folder):
+    path = folder / "a.mp4"
+    path.write_bytes(mp4(256, 144, 30_000, group=1000, picture=lambda number: (number - 1) // 1000 + 1, start=1))
+    return path
+
+
+@bomb(*VIDEO)
+def mp4_that_shows_its_end_alone(folder):
+    path = folder / "a.mp4"
+    path.write_bytes(mp4(256, 144, 30_000, shown=30))
     return path
 
 
@@ -1147,13 +1221,18 @@ def depth_images_of_plain(folder):
     return depth.parent
 
 
+def limit():
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CPU, (MAX_SECONDS_MEASURED, MAX_SECONDS_MEASURED))
+
+
 def measured(program, words, folder):
     """Exit code, seconds of the processor and of the clock, kilobytes, what was said."""
     said = folder / "said"
     begin = time.monotonic()
     with said.open("wb") as out:
         child = subprocess.Popen([program, *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=out, cwd=folder,
-                                 preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CORE, (0, 0)), start_new_session=True)
+                                 preexec_fn=limit, start_new_session=True)
     while True:
         pid, status, usage = os.wait4(child.pid, os.WNOHANG)
         if pid:
