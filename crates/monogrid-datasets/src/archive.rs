@@ -176,14 +176,17 @@ impl Archive {
 
     /// The folder of the sequence: the outermost one that holds more than another folder.
     pub(crate) fn root(&self) -> PathBuf {
-        let mut root = PathBuf::new();
-        loop {
-            let names = self.names_in(&root);
-            match names.as_slice() {
-                [only] if !self.is_file(&root.join(only)) => root.push(only),
-                _ => return self.path.join(root),
-            }
-        }
+        // names are in order: what the first and the last have in common, all have
+        let first = self.files.keys().next().and_then(|name| name.parent());
+        let last = self.files.keys().next_back().and_then(|name| name.parent());
+        let (first, last) = (
+            first.unwrap_or(Path::new("")),
+            last.unwrap_or(Path::new("")),
+        );
+        let common = first.components().zip(last.components());
+        let common = common.take_while(|(one, other)| one == other);
+        let root: PathBuf = common.map(|(folder, _)| folder).collect();
+        self.path.join(root)
     }
 
     /// What reading it needs, in a sentence for people; `None` where that is nothing.

@@ -118,6 +118,8 @@ impl VideoSource {
         }
         let topic = args.topic.clone();
         let patience = args.patience(path);
+        // asked before it is opened: a file that is removed meanwhile is still no stream
+        let is_file = path.is_file() || is_recording(path);
         let opened = open_source(path, topic.as_deref(), patience);
         let (video, recorded) = opened.map_err(not_opened)?;
         let length = video.length();
@@ -143,7 +145,7 @@ impl VideoSource {
             start,
             every,
             max_frames: max_frames.unwrap_or(usize::MAX),
-            is_file: path.is_file() || is_recording(path),
+            is_file,
             opened: Mutex::new(Some(video)),
             patience,
             cpu_ns: AtomicU64::new(0),

@@ -16,10 +16,10 @@ struct Allowance {
 const SMALL_BYTES: u64 = 1 << 20;
 
 /// Of image files: those that can be tracked have 1 to 20 pixels for a byte, plain ones up to eight
-/// thousand. Any may have four hundred images of 640 x 480.
+/// thousand. Any may have two hundred images of 640 x 480.
 const IMAGES: Allowance = Allowance {
-    any: 1 << 27,
-    per_small_byte: 256,
+    any: 1 << 26,
+    per_small_byte: 128,
     per_byte: 1024,
 };
 
@@ -124,11 +124,11 @@ mod tests {
     #[test]
     fn what_may_be_read_grows_with_what_is_stored() {
         let path = Path::new("a.zip");
-        assert_eq!(images_of(PixelBudget::of_images(path, 0)), 128);
-        assert_eq!(images_of(PixelBudget::of_images(path, 1 << 20)), 128 + 256);
+        assert_eq!(images_of(PixelBudget::of_images(path, 0)), 64);
+        assert_eq!(images_of(PixelBudget::of_images(path, 1 << 20)), 64 + 128);
         assert_eq!(
             images_of(PixelBudget::of_images(path, 2 << 20)),
-            128 + 256 + 1024
+            64 + 128 + 1024
         );
         assert_eq!(images_of(PixelBudget::of_video(path, 1 << 20)), 128 + 512);
         assert_eq!(
@@ -145,6 +145,6 @@ mod tests {
         let mut budget = PixelBudget::of_images(Path::new("plain.zip"), 1000);
         let error = budget.spend(1 << 20, 1 << 20).unwrap_err().to_string();
         assert!(error.contains("plain.zip\" stores 1000 bytes"), "{error}");
-        assert!(error.contains("more than 134473728 pixels"), "{error}");
+        assert!(error.contains("more than 67236864 pixels"), "{error}");
     }
 }
