@@ -74,12 +74,13 @@ impl Tracker {
         })
     }
 
-    /// Tracks a frame that comes before the one with the last pose, which is not doubted.
+    /// Tracks a frame that comes before the one with the last pose. Nothing is said of how it
+    /// compares with the frames before it, since these are not known yet.
     pub(super) fn step_back(&self, setup: &Setup, map: &Map, frame: &Frame) -> Option<Attempt> {
         let (active, last) = (self.active.as_ref()?, self.last.as_ref()?);
         Some(Attempt {
             keyframe: active.id,
-            tracked: active.track(setup, map, last, frame),
+            tracked: doubt(setup, active.track(setup, map, last, frame), 0),
             doubt: None,
         })
     }
@@ -147,7 +148,8 @@ impl Active {
     }
 
     /// Where frames are on the keyframe in use, tracked from a later frame backwards in time: the
-    /// last of them first, up to the first that cannot be believed.
+    /// last of them first, up to the first that cannot be believed. Each is the prior of the one
+    /// before it in time, so that a picture of another place would lead farther and farther away.
     fn track_back(
         &self,
         setup: &Setup,
@@ -159,6 +161,7 @@ impl Active {
         for buffered in frames.iter().rev() {
             let frame = setup.restored(buffered);
             let tracked = self.track(setup, map, &last, &frame);
+            let tracked = doubt(setup, tracked, 0);
             if tracked.state != TrackingState::Good {
                 break;
             }
