@@ -99,13 +99,18 @@ pub(crate) const fn may_be_confirmed(state: TrackingState, is_surprising: bool) 
     matches!(state, TrackingState::Good) && !is_surprising
 }
 
-/// How far a pose by points is believed, of which the pixels say so much. Where they disagree
-/// altogether it is believed, but the frame says nothing about the depth of the keyframe; unless
-/// the pose is also far from where the motion leads: points of another place agree among
-/// themselves.
-pub(crate) const fn state_at_points(by_pixels: TrackingState, is_far: bool) -> TrackingState {
+/// How far a pose by points is believed, of which the pixels say so much, and why. Where they
+/// disagree altogether it is believed, but the frame says nothing about the depth of the keyframe;
+/// unless the pose is also far from where the motion leads: points of another place agree among
+/// themselves. Too few pixels with depth are no contradiction: the frame gives more of them theirs.
+pub(crate) const fn state_at_points(
+    by_pixels: TrackingState,
+    reason: Option<LostReason>,
+    is_far: bool,
+) -> TrackingState {
     match by_pixels {
         TrackingState::Lost if is_far => TrackingState::Lost,
+        TrackingState::Lost if matches!(reason, Some(LostReason::NoTexture)) => TrackingState::Good,
         TrackingState::Lost => TrackingState::Degraded,
         TrackingState::Degraded | TrackingState::Good => TrackingState::Good,
         other => other,
@@ -257,9 +262,13 @@ mod tests {
             (Degraded, Good, Good),
             (Lost, Degraded, Lost),
         ] {
-            assert_eq!(state_at_points(by_pixels, false), near);
-            assert_eq!(state_at_points(by_pixels, true), far);
+            let reason = Some(LostReason::Residuals);
+            assert_eq!(state_at_points(by_pixels, reason, false), near);
+            assert_eq!(state_at_points(by_pixels, reason, true), far);
         }
+        let few = Some(LostReason::NoTexture);
+        assert_eq!(state_at_points(Lost, few, false), Good);
+        assert_eq!(state_at_points(Lost, few, true), Lost);
     }
 
     #[test]

@@ -35,6 +35,9 @@ pub(crate) struct SparsePoint {
     pub alive: bool,
 }
 
+/// Inverse depth that is known worse than this, relative to itself, is a guess.
+const MAX_RELATIVE_SIGMA: f64 = 0.29;
+
 impl SparsePoint {
     /// Memory, bytes.
     pub(super) fn bytes(&self) -> usize {
@@ -55,6 +58,11 @@ impl SparsePoint {
         self.idepth /= factor;
         self.prior_idepth /= factor;
         self.prior_sigma /= factor;
+    }
+
+    /// Whether its depth is more than a guess: known when it was anchored, or seen from elsewhere.
+    pub(crate) fn has_depth(&self) -> bool {
+        self.prior_sigma < MAX_RELATIVE_SIGMA * self.prior_idepth || !self.observations.is_empty()
     }
 
     /// Whether it is used and another keyframe sees it.
@@ -105,7 +113,7 @@ impl SeenPoints {
 pub(crate) struct Registration {
     /// Its pose, if enough of the found points agree.
     pub camera_from_world: Option<Se3>,
-    /// The points that agree with it, and where they are.
+    /// The points that agree with it, those whose depth is a guess, and where they are.
     pub inliers: Vec<(usize, Vec2)>,
 }
 

@@ -5,7 +5,7 @@ use super::matching::{find_in_older, nearby_idepth};
 use crate::map::{Map, MapKeyframe, SparsePoint};
 use monogrid_depth::DepthMap;
 use monogrid_features::{CornerConfig, PatchSearchConfig, detect_corners, patch_level};
-use monogrid_geometry::{Pinhole, Vec2};
+use monogrid_geometry::{Mat3, Pinhole, Vec2, Vec3};
 use monogrid_image::{Mask, Pyramid};
 
 /// Points anchored per keyframe with fewer observations after this many keyframes are dropped.
@@ -15,7 +15,7 @@ const DROP_AFTER_KEYFRAMES: u32 = 3;
 const NUM_COARSER: usize = 2;
 
 /// New corners of the newest keyframe where it sees few points, with depth from the dense map (its
-/// units) at or around them, and where the keyframes used last see them. `seen` are the pixels of
+/// units) at or around them or that of a surface that goes on, and where the keyframes used last see them. `seen` are the pixels of
 /// the points that it sees already.
 pub(crate) fn anchor(
     map: &Map,
@@ -53,10 +53,19 @@ fn corners(
     };
     let corners = detect_corners(&pyramid, Some(mask), seen, &settings);
     let unit = newest.world_from_keyframe.scale;
+    let nearby: Vec<Option<(f64, f64)>> = corners
+        .iter()
+        .map(|corner| nearby_idepth(depth, &corner.pixel))
+        .collect();
+    let known = corners.iter().zip(&nearby);
+    let known: Vec<(Vec2, f64)> = known
+        .filter_map(|(corner, nearby)| Some((corner.pixel, (*nearby)?.0)))
+        .collect();
     corners
         .iter()
-        .filter_map(|corner| {
-            let (idepth, sigma) = nearby_idepth(depth, &corner.pixel)?;
+        .zip(&nearby)
+        .filter_map(|(corner, nearby)| {
+            let (idepth, sigma) = nearby.or_else(|| continued_idepth(&known, &corner.pixel))?;
             Some(SparsePoint {
                 host: newest.id,
                 pixel: corner.pixel,
@@ -69,6 +78,46 @@ fn corners(
             })
         })
         .collect()
+}
+
+/// Corners with depth that say where a surface goes on.
+const CONTINUED_FROM: usize = 16;
+/// Fewest of them.
+const MIN_CONTINUED_FROM: usize = 8;
+/// Relative change of inverse depth per px that a surface is expected to have.
+const SLOPE_PER_PX: f64 = 0.002;
+/// Relative standard deviation of a corner's inverse depth about the plane.
+const PLANE_SIGMA: f64 = 0.05;
+/// Relative standard deviation of an inverse depth where the surface is taken to go on.
+const CONTINUED_SIGMA: f64 = 0.3;
+
+/// Inverse depth, and how uncertain it is, where the plane through the nearest corners with depth
+/// goes on. A camera that turns towards a plain wall sees faint corners which nobody knows the depth
+/// of; they say how it turns all the same, and their depth once it has moved.
+///
+/// The inverse depth of a plane is an affine function of the pixel: least squares with a prior of
+/// zero on its slope.
+fn continued_idepth(known: &[(Vec2, f64)], pixel: &Vec2) -> Option<(f64, f64)> {
+    let offsets = known.iter().map(|(at, idepth)| (at - pixel, *idepth));
+    let mut nearest: Vec<(Vec2, f64)> = offsets.collect();
+    nearest.sort_by(|a, b| a.0.norm().total_cmp(&b.0.norm()));
+    nearest.truncate(CONTINUED_FROM);
+    if nearest.len() < MIN_CONTINUED_FROM {
+        return None;
+    }
+    let mean = nearest.iter().map(|(_, idepth)| idepth).sum::<f64>() / nearest.len() as f64;
+    let slope_weight = (PLANE_SIGMA / SLOPE_PER_PX).powi(2);
+    let mut normal = Mat3::from_diagonal(&Vec3::new(0.0, slope_weight, slope_weight));
+    let mut right = Vec3::zeros();
+    for (offset, idepth) in &nearest {
+        let row = Vec3::new(1.0, offset.x, offset.y);
+        normal += row * row.transpose();
+        right += row * (idepth / mean - 1.0);
+    }
+    let relative = (normal.try_inverse()? * right).x;
+    // farther from the corners a plane says nothing
+    let idepth = mean * (1.0 + relative).clamp(0.5, 2.0);
+    Some((idepth, CONTINUED_SIGMA * idepth))
 }
 
 /// [`SparsePoint::pixel_size`] of a point at a pixel of its host's images.
@@ -112,6 +161,66 @@ pub(crate) fn unconfirmed(map: &Map) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::map::Observation;
+
+    /// Inverse depth of a plane at a pixel.
+    fn plane(at: &Vec2) -> f64 {
+        0.5 + 0.0004 * at.x - 0.0002 * at.y
+    }
+
+    fn corners_of_plane(count: usize) -> Vec<(Vec2, f64)> {
+        let at = (0..count).map(|k| Vec2::new(10.0 * (k % 6) as f64, 40.0 * (k / 6) as f64));
+        at.map(|at| (at, plane(&at))).collect()
+    }
+
+    #[test]
+    fn a_plane_goes_on_beyond_its_corners_as_a_guess() {
+        let at = Vec2::new(110.0, 40.0);
+        let (idepth, sigma) = continued_idepth(&corners_of_plane(16), &at).unwrap();
+        // the prior pulls the slope towards zero
+        assert!((idepth / plane(&at) - 1.0).abs() < 0.03, "{idepth}");
+        let point = SparsePoint {
+            host: 0,
+            pixel: at,
+            idepth,
+            prior_idepth: idepth,
+            prior_sigma: sigma,
+            pixel_size: 1.0,
+            observations: Vec::new(),
+            alive: true,
+        };
+        assert!(!point.has_depth());
+        let seen = Observation {
+            keyframe: 1,
+            pixel: at,
+        };
+        let observations = vec![seen];
+        assert!(
+            SparsePoint {
+                observations,
+                ..point.clone()
+            }
+            .has_depth()
+        );
+        let prior_sigma = 0.1 * idepth;
+        assert!(
+            SparsePoint {
+                prior_sigma,
+                ..point
+            }
+            .has_depth()
+        );
+    }
+
+    #[test]
+    fn a_few_corners_are_no_surface_and_the_nearest_say_how_it_goes_on() {
+        let at = Vec2::new(110.0, 40.0);
+        assert!(continued_idepth(&corners_of_plane(MIN_CONTINUED_FROM - 1), &at).is_none());
+        let near = continued_idepth(&corners_of_plane(CONTINUED_FROM), &at);
+        let mut more = corners_of_plane(CONTINUED_FROM);
+        more.push((Vec2::new(900.0, 900.0), 7.0));
+        assert_eq!(continued_idepth(&more, &at), near);
+    }
 
     #[test]
     fn corners_lie_closer_in_small_images() {

@@ -75,6 +75,8 @@ pub(crate) struct PointSearch<'a> {
     pub patch: PatchSearchConfig,
     /// Which points of the fragment are looked for.
     pub which: Which,
+    /// Whether points are left out whose depth is a guess ([`SparsePoint::has_depth`]).
+    pub with_depth: bool,
     /// Points that are looked for at most.
     pub max_points: usize,
     /// Whether a point is compared with how it was seen last, which looks most like the image,
@@ -95,6 +97,7 @@ impl<'a> PointSearch<'a> {
             camera_from_world: keyframe.camera_from_world,
             patch: patch_search(radius_px),
             which,
+            with_depth: false,
             max_points: MAX_SEARCHED_POINTS,
             from_newest: false,
         }
@@ -265,6 +268,9 @@ fn visible_in(map: &Map, image: &PointSearch, pinhole: &Pinhole) -> Vec<(usize, 
     let predicted = |index: usize, world_from_host: &Se3| {
         let point = &map.points()[index];
         let is_seen = |keyframe| point.pixel_in(keyframe).is_some();
+        if image.with_depth && !point.has_depth() {
+            return None;
+        }
         if !point.alive || matches!(image.which, Which::NotSeenBy(id) if is_seen(id)) {
             return None;
         }

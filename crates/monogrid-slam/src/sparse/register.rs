@@ -14,7 +14,11 @@ pub(crate) const POSE_SIGMA_PX: f64 = 1.0;
 /// Finds the points that the newest keyframe should see, and refines its pose on them.
 pub(crate) fn register(map: &Map, pinhole: &Pinhole) -> Registration {
     let search = find_in_newest(map, pinhole);
-    let num_found = search.found.len();
+    // a guess says nothing about the pose; to be seen here is what makes it a measurement
+    let found = search.found.into_iter();
+    let (known, guesses): (Vec<_>, Vec<_>) =
+        found.partition(|(index, _)| map.points()[*index].has_depth());
+    let num_found = known.len();
     let mut registration = Registration::default();
     if num_found < MIN_POSE_POINTS {
         return registration;
@@ -22,7 +26,7 @@ pub(crate) fn register(map: &Map, pinhole: &Pinhole) -> Registration {
     let Some(newest) = map.newest() else {
         return registration;
     };
-    let found = search.found.iter();
+    let found = known.iter();
     let matches: Vec<MapMatch> = found
         .map(|(index, pixel)| {
             let point = &map.points()[*index];
@@ -37,11 +41,12 @@ pub(crate) fn register(map: &Map, pinhole: &Pinhole) -> Registration {
     let Ok(refined) = refine_pose(initial, pinhole, &matches, &PoseOnlyConfig::default()) else {
         return registration;
     };
-    let found = search.found.into_iter().zip(refined.inliers);
+    let found = known.into_iter().zip(refined.inliers);
     let inliers: Vec<(usize, Vec2)> = found.filter_map(|(f, ok)| ok.then_some(f)).collect();
     if inliers.len() >= MIN_POSE_POINTS && inliers.len() * 3 >= num_found {
         registration.camera_from_world = Some(refined.camera_from_world);
         registration.inliers = inliers;
+        registration.inliers.extend(guesses);
     }
     registration
 }

@@ -70,7 +70,7 @@ impl Task<'_> {
         let alignment = self.look(&motion);
         let (by_pixels, reason) = judge(&alignment, self.config);
         let is_far = self.prior.distance_to(&motion) > MAX_JUMP;
-        let state = state_at_points(by_pixels, is_far);
+        let state = state_at_points(by_pixels, reason, is_far);
         if state == TrackingState::Lost {
             return Tracked {
                 state,

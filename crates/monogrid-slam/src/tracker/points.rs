@@ -124,6 +124,7 @@ impl PointMap<'_> {
                 ..PatchSearchConfig::default()
             },
             which: Which::All,
+            with_depth: true,
             max_points: MAX_POINTS,
             from_newest: true,
         }
