@@ -133,7 +133,7 @@ fn points_have_the_last_word_and_those_found_a_pixel_beside_little_to_say() {
     };
     let (default_m, quadratic_m) = (moved_m(SparseConfig::default().kernel_px), moved_m(1.5));
     assert!(
-        default_m < 0.65 * quadratic_m,
+        default_m < 0.75 * quadratic_m,
         "{default_m} of {quadratic_m} m"
     );
 }
