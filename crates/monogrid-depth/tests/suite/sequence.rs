@@ -1,7 +1,7 @@
 //! A hand-held sequence with keyframe changes: density, accuracy, honesty, no drift of the scale.
 
 use crate::world::{
-    Normal, Quality, View, World, disturbed, handheld, host, pinhole_of, quality, sensor,
+    Normal, Quality, View, World, disturbed, frame, handheld, host, pinhole_of, quality, sensor,
 };
 use monogrid_depth::{DepthConfig, DepthMap, PixelFilter, StereoFrame};
 use monogrid_geometry::Se3;
@@ -34,14 +34,10 @@ fn quiet_views() -> &'static [View] {
 
 fn stereo(image: &GrayImage, frame_from_keyframe: Se3, id: usize) -> StereoFrame<'_> {
     StereoFrame {
-        image,
-        frame_from_keyframe,
-        gain: 1.0,
-        bias: 0.0,
-        residual_rms: 3.0,
         pose_sigma_trans: SIGMA_TRANS,
         pose_sigma_rot: SIGMA_ROT,
         id: id as u32,
+        ..frame(image, frame_from_keyframe)
     }
 }
 

@@ -1,6 +1,6 @@
 //! One stereo pair with exact poses: honest variance, no bias (R5), exposure, bands, odd input.
 
-use crate::world::{Quality, View, World, host, pinhole_of, quality, sensor};
+use crate::world::{Quality, View, World, frame, host, pinhole_of, quality, sensor};
 use monogrid_depth::{
     DepthConfig, DepthMap, DepthPixel, ObserveStats, PixelFilter, PixelOutcome, StereoFrame,
 };
@@ -8,19 +8,6 @@ use monogrid_geometry::{Rotation, Se3, Vec3};
 use monogrid_image::GrayImage;
 
 const SIZE: (usize, usize) = (320, 240);
-
-fn frame(image: &GrayImage, frame_from_keyframe: Se3) -> StereoFrame<'_> {
-    StereoFrame {
-        image,
-        frame_from_keyframe,
-        gain: 1.0,
-        bias: 0.0,
-        residual_rms: 3.0,
-        pose_sigma_trans: 0.0,
-        pose_sigma_rot: 0.0,
-        id: 1,
-    }
-}
 
 struct Pair {
     keyframe: View,

@@ -1,8 +1,9 @@
 //! What happens to the depth of a keyframe, stage by stage, in this order:
 //!
 //! 1. [`Stage::Matched`]: dense depth by the images of its neighbours (`stereo`);
-//! 2. [`Stage::Found`]: what these confirm of it beside the depth of the filter, both made better by
-//!    the images around, what is precise enough (`sensor`), and plain surfaces between it (`planes`);
+//! 2. [`Stage::Found`]: what these confirm of it with the depth of the filter, or where there is
+//!    none, that of the filter made better by the images around (`stereo`); what of it is precise
+//!    enough (`sensor`), and plain surfaces between it (`planes`);
 //! 3. [`Stage::Agreed`]: as certain as keyframes agree, one depth from all that see the same
 //!    (`agreement`);
 //! 4. [`Stage::Completed`]: where a keyframe has no depth, that of those that see the same
@@ -37,7 +38,7 @@ pub(super) enum Stage {
     Waiting,
     /// Its image was matched with those of its neighbours.
     Matched,
-    /// What these confirm was merged with its own depth, refined and filled.
+    /// What these confirm was merged with its own depth, or that was refined, and filled.
     Found,
     /// As certain as they agree, and fused with theirs.
     Agreed,
@@ -167,8 +168,8 @@ fn with_depth_of_others(scene: &Scene, this: &Found, index: usize) -> Progress {
     progress
 }
 
-/// What of a keyframe is mapped when it has taken all stages: its depths on the large planes that it
-/// shares with others, and these planes beyond what was measured of them.
+/// What of a keyframe is mapped when it has taken all stages: its depths on the large planes that
+/// it shares with others, and these planes beyond what was measured of them.
 pub(super) fn mapped(scene: &Scene, index: usize, before: &Before, store: &Store) -> KeyframeScan {
     let this = before[index].and_then(|this| this.found.as_ref());
     let mut depths = this.map_or_else(Depths::default, |this| this.depths.depths());

@@ -15,8 +15,8 @@ const DROP_AFTER_KEYFRAMES: u32 = 3;
 const NUM_COARSER: usize = 2;
 
 /// New corners of the newest keyframe where it sees few points, with depth from the dense map (its
-/// units) at or around them or that of a surface that goes on, and where the keyframes used last see them. `seen` are the pixels of
-/// the points that it sees already.
+/// units) at or around them or that of a surface that goes on, and where the keyframes used last
+/// see them. `seen` are the pixels of the points that it sees already.
 pub(crate) fn anchor(
     map: &Map,
     depth: &DepthMap,
@@ -88,12 +88,13 @@ const MIN_CONTINUED_FROM: usize = 8;
 const SLOPE_PER_PX: f64 = 0.002;
 /// Relative standard deviation of a corner's inverse depth about the plane.
 const PLANE_SIGMA: f64 = 0.05;
-/// Relative standard deviation of an inverse depth where the surface is taken to go on.
+/// Relative standard deviation of an inverse depth where the surface is taken to go on: a guess
+/// ([`SparsePoint::has_depth`]).
 const CONTINUED_SIGMA: f64 = 0.3;
 
 /// Inverse depth, and how uncertain it is, where the plane through the nearest corners with depth
-/// goes on. A camera that turns towards a plain wall sees faint corners which nobody knows the depth
-/// of; they say how it turns all the same, and their depth once it has moved.
+/// goes on. A camera that turns towards a plain wall sees faint corners which nobody knows the
+/// depth of; they say how it turns all the same, and their depth once it has moved.
 ///
 /// The inverse depth of a plane is an affine function of the pixel: least squares with a prior of
 /// zero on its slope.

@@ -61,8 +61,7 @@ impl Tracker {
         lost_in_a_row: usize,
     ) -> Option<Attempt> {
         let (active, last) = (self.active.as_ref()?, self.last.as_ref()?);
-        let tracked = active.track(setup, map, last, frame);
-        let tracked = doubt(setup, tracked, lost_in_a_row);
+        let tracked = active.track(setup, map, last, frame, lost_in_a_row);
         let is_believed = tracked.state != TrackingState::Lost;
         let config = &setup.config.tracking;
         Some(Attempt {
@@ -80,7 +79,7 @@ impl Tracker {
         let (active, last) = (self.active.as_ref()?, self.last.as_ref()?);
         Some(Attempt {
             keyframe: active.id,
-            tracked: doubt(setup, active.track(setup, map, last, frame), 0),
+            tracked: active.track(setup, map, last, frame, 0),
             doubt: None,
         })
     }
@@ -135,8 +134,15 @@ impl Tracker {
 
 impl Active {
     /// Tracks a frame on the keyframe in use, and by the points of the map, from where the motion
-    /// of the last frames leads.
-    fn track(&self, setup: &Setup, map: &Map, last: &Last, frame: &Frame) -> Tracked {
+    /// of the last frames leads, and doubts what it finds; before it so many frames were lost.
+    fn track(
+        &self,
+        setup: &Setup,
+        map: &Map,
+        last: &Last,
+        frame: &Frame,
+        lost_in_a_row: usize,
+    ) -> Tracked {
         let prior = motion_prior(setup, last, frame.timestamp_ns);
         let points = setup.config.sparse.enabled.then(|| PointMap {
             map,
@@ -144,7 +150,8 @@ impl Active {
             setup,
         });
         let task = Task::new(setup, &self.reference, frame, &prior);
-        task.track_with_points(&last.pyramid, points.as_ref())
+        let tracked = task.track_with_points(&last.pyramid, points.as_ref());
+        doubt(setup, tracked, lost_in_a_row)
     }
 
     /// Where frames are on the keyframe in use, tracked from a later frame backwards in time: the
@@ -160,8 +167,7 @@ impl Active {
         let mut motions = Vec::with_capacity(frames.len());
         for buffered in frames.iter().rev() {
             let frame = setup.restored(buffered);
-            let tracked = self.track(setup, map, &last, &frame);
-            let tracked = doubt(setup, tracked, 0);
+            let tracked = self.track(setup, map, &last, &frame, 0);
             if tracked.state != TrackingState::Good {
                 break;
             }

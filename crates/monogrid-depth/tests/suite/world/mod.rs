@@ -1,6 +1,6 @@
 //! A tiny renderer for tests: the inside of a textured room with boxes, exact depth and pose.
 
-use monogrid_depth::{DepthMap, DepthPixel, HostFrame, PixelFilter};
+use monogrid_depth::{DepthMap, DepthPixel, HostFrame, PixelFilter, StereoFrame};
 use monogrid_geometry::{Pinhole, Rotation, Se3, Vec2, Vec3};
 use monogrid_image::{GrayImage, Mask};
 use std::collections::BTreeMap;
@@ -154,6 +154,20 @@ pub fn sensor(image: &GrayImage, sigma: f32, seed: u64) -> GrayImage {
 pub fn pinhole_of(size: (usize, usize)) -> Pinhole {
     let f = 0.82 * size.0 as f64;
     Pinhole::new(f, f, size.0 as f64 / 2.0 - 0.5, size.1 as f64 / 2.0 - 0.5)
+}
+
+/// A frame whose pose is exact.
+pub fn frame(image: &GrayImage, frame_from_keyframe: Se3) -> StereoFrame<'_> {
+    StereoFrame {
+        image,
+        frame_from_keyframe,
+        gain: 1.0,
+        bias: 0.0,
+        residual_rms: 3.0,
+        pose_sigma_trans: 0.0,
+        pose_sigma_rot: 0.0,
+        id: 1,
+    }
 }
 
 pub fn host(image: GrayImage, pinhole: Pinhole) -> Arc<HostFrame> {
