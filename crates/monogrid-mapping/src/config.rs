@@ -63,7 +63,8 @@ impl MapQuality {
         matches!(self, Self::Default | Self::Best)
     }
 
-    /// In five recordings more of the surfaces was found by all of `best` together (docs/studies.md,
+    /// In five recordings more of the surfaces was found by all of `best` together
+    /// (docs/studies.md,
     /// *Quality best*); single parts took some away.
     pub(crate) fn effort(self) -> Effort {
         let mut stereo = DenseConfig::default();
@@ -189,8 +190,8 @@ pub struct MappingConfig {
     /// Inverse sensor model.
     pub sensor_model: SensorModelKind,
     /// Thickness L of the occupied band of `ideal` and `thrun`, or `"auto"`: the larger of the way
-    /// through the cells of the surface (by rule `fused` as many as the slope of the surface needs, else a cell's diagonal) and `buffer_sigmas`
-    /// standard deviations.
+    /// through the cells of the surface (by rule `fused` as many as the slope of the surface needs,
+    /// else a cell's diagonal) and `buffer_sigmas` standard deviations.
     pub buffer: AutoLength,
     /// Thickness in standard deviations where `buffer` is automatic (below 0.861, a hit is evidence
     /// against the obstacle). Default 1.7; docs/sensor-parameters.md derives it.

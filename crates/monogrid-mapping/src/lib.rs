@@ -1,12 +1,13 @@
 //! From finished keyframes and a pose snapshot to occupancy maps.
 //!
 //! Flow: the depth of a keyframe → [`KeyframeScan`] (what passes the filter, in the keyframe's own
-//! units) → [`Mapper::integrate`] with the pose that is known → an occupancy map. [`LiveMaps`] does so
-//! while a run goes on, for other threads to read, and leaves the final maps at its end.
+//! units) → [`Mapper::integrate`] with the pose that is known → an occupancy map. [`LiveMaps`] does
+//! so while a run goes on, for other threads to read, and leaves the final maps at its end.
 //!
 //! * *large*: every keyframe at the pose it had when it was finished, with its drift;
-//! * *global*: every keyframe where the graph has it; always what a build from scratch gives. It follows
-//!   the graph in steps of bounded work; what is read is the map of one revision of the poses, complete;
+//! - *global*: every keyframe where the graph has it; always what a build from scratch gives. It
+//!   follows the graph in steps of bounded work; what is read is the map of one revision of the
+//!   poses, complete;
 //! * *local*: the part of *global* within a radius of the current camera.
 //!
 //! While a run goes on, *global* has the depth of the filter, a few keyframes later that of final
@@ -17,8 +18,8 @@
 //! refined, or made dense, at the final poses ([`final_scans`]); the final maps do not depend on
 //! how far the live ones had come.
 //!
-//! Maps are z up ([`z_up_from_camera_world`]) unless the caller gives another frame, such as that in which the scene is
-//! level ([`upright()`]).
+//! Maps are z up ([`z_up_from_camera_world`]) unless the caller gives another frame, such as that
+//! in which the scene is level ([`upright()`]).
 #![deny(missing_docs)]
 
 mod agreement;

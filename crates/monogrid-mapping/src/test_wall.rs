@@ -1,4 +1,5 @@
-//! A textured wall two units before the first of some cameras that stand beside each other, for tests.
+//! A textured wall two units before the first of some cameras that stand beside each other, for
+//! tests.
 
 use crate::{KeyframeCamera, KeyframeScan};
 use monogrid_geometry::{Pinhole, Vec2};

@@ -1,4 +1,5 @@
-//! Bounding volume hierarchy over triangles: built by the binned surface area heuristic (Wald 2007).
+//! Bounding volume hierarchy over triangles: built by the binned surface area heuristic (Wald
+//! 2007).
 
 use monogrid_geometry::nalgebra::Vector3;
 
@@ -318,8 +319,8 @@ fn split(items: &mut [Item], offset: usize, depth: u32) -> Subtree {
     Subtree::Inner(bounds, axis as u16, left, right)
 }
 
-/// How to separate the items: along which axis, by centre below which plane; `None` puts half of them to each side, where
-/// no plane separates them well.
+/// How to separate the items: along which axis, by centre below which plane; `None` puts half of
+/// them to each side, where no plane separates them well.
 type SplitAt = (usize, Option<f32>);
 
 fn best_split(items: &[Item], bounds: &Bounds, centres: &Bounds, depth: u32) -> Option<SplitAt> {

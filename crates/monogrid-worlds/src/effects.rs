@@ -89,7 +89,8 @@ impl EffectsConfig {
     }
 }
 
-/// A sensor that turns radiance into grey values; every frame's noise is a function of seed and index.
+/// A sensor that turns radiance into grey values; every frame's noise is a function of seed and
+/// index.
 #[derive(Clone, Debug)]
 pub struct Sensor {
     config: EffectsConfig,

@@ -12,17 +12,21 @@ pub struct ImuConfig {
     pub rate_hz: f64,
     /// White noise and random walks.
     pub noise: ImuNoise,
-    /// Standard deviation of the gyroscope's constant bias, rad/s. Default 0.01 (0.6 degrees per second).
+    /// Standard deviation of the gyroscope's constant bias, rad/s. Default 0.01 (0.6 degrees per
+    /// second).
     pub gyroscope_bias: f64,
-    /// The same of the accelerometer's, m/s². Default 0.05 (5 mg): what a phone's own calibration leaves.
+    /// The same of the accelerometer's, m/s². Default 0.05 (5 mg): what a phone's own calibration
+    /// leaves.
     pub accelerometer_bias: f64,
-    /// Standard deviation of the time at which a reading is taken from the one that it carries, s. Default 0.2 ms.
+    /// Standard deviation of the time at which a reading is taken from the one that it carries, s.
+    /// Default 0.2 ms.
     pub time_jitter_secs: f64,
     /// Largest angular velocity that can be read, rad/s. Default 2000 degrees per second.
     pub gyroscope_range: f64,
     /// Largest specific force, m/s². Default 8 g.
     pub accelerometer_range: f64,
-    /// Where the sensor sits at the camera. Default: some centimetres away and turned, as in a phone that is held upright.
+    /// Where the sensor sits at the camera. Default: some centimetres away and turned, as in a
+    /// phone that is held upright.
     pub camera_from_imu: Se3,
 }
 
@@ -63,7 +67,8 @@ impl ImuConfig {
     }
 }
 
-/// Half of the time over which a path is differentiated, s: a tremor of 10 Hz loses 0.01 % of its acceleration.
+/// Half of the time over which a path is differentiated, s: a tremor of 10 Hz loses 0.01 % of its
+/// acceleration.
 const HALF_STEP_SECS: f64 = 5e-4;
 
 /// The readings on a path, from its beginning to `until_secs`; time 0 is that of the path.

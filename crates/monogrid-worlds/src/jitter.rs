@@ -1,7 +1,8 @@
 //! The unsteadiness of a hand or a drone: band-limited noise on a smooth camera motion.
 //!
 //! The strength per octave was measured on real recordings (TUM RGB-D fr1/xyz and fr2/desk held by
-//! hand, EuRoC V1_02 flown): displacement falls by about 4 to 5 per octave above 1 Hz, rotation by 2.
+//! hand, EuRoC V1_02 flown): displacement falls by about 4 to 5 per octave above 1 Hz, rotation by
+//! 2.
 
 use super::random::Random;
 use monogrid_geometry::{Se3, Vec3, rotation_exp};

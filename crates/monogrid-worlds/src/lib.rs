@@ -1,7 +1,8 @@
 //! Synthetic worlds with exact depth and pose.
 //!
-//! [`World`] (built in or any mesh) + [`CameraPath`] (hand, drone or file) + [`Renderer`] + effects of a
-//! real camera = [`SynthSequence`], which yields frames with truth and writes data sets in TUM layout.
+//! [`World`] (built in or any mesh) + [`CameraPath`] (hand, drone or file) + [`Renderer`] + effects
+//! of a real camera = [`SynthSequence`], which yields frames with truth and writes data sets in TUM
+//! layout.
 //!
 //! World axes: z up, metres. Camera: x right, y down, z forward. Everything is a function of the
 //! configuration and its seed, whatever the number of threads.

@@ -1,8 +1,8 @@
 //! Light that does not change: direct light of rectangular lamps with soft shadows, and one bounce
 //! gathered over the hemisphere, stored per texel of each surface.
 //!
-//! The same sample directions serve every texel, so plain walls stay free of noise that a camera could
-//! track.
+//! The same sample directions serve every texel, so plain walls stay free of noise that a camera
+//! could track.
 
 use super::bvh::P3;
 use super::packet::{Packet, set_lane};
@@ -62,7 +62,8 @@ const RAYS: usize = 16;
 const LIFT_M: f32 = 0.003;
 /// Texels per side of a light map at most.
 const MAX_TEXELS: usize = 1024;
-/// Light that comes from everywhere, relative to the mean direct light (stands for the bounces after the first).
+/// Light that comes from everywhere, relative to the mean direct light (stands for the bounces
+/// after the first).
 const AMBIENT: f32 = 0.25;
 
 /// Irradiance on one patch.

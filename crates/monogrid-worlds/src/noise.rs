@@ -33,7 +33,8 @@ fn gradient(directions: &[[f32; 2]; GRADIENTS], cell: [i32; 2], seed: u32) -> [f
     directions[(h >> 26) as usize]
 }
 
-/// Where a coordinate lies in a lattice that repeats: the cell's lower border, and the lattice points at both its borders.
+/// Where a coordinate lies in a lattice that repeats: the cell's lower border, and the lattice
+/// points at both its borders.
 #[inline]
 fn cell(x: f32, period: i32) -> (f32, [i32; 2]) {
     // rem_euclid is a division: most calls are inside the first period
@@ -98,8 +99,8 @@ pub struct Octaves {
 }
 
 impl Octaves {
-    /// Amplitude falls by `gain` from octave to octave: 0.5 gives the 1/f amplitude spectrum of natural pictures. `cells` lattice cells
-    /// per tile in the first octave.
+    /// Amplitude falls by `gain` from octave to octave: 0.5 gives the 1/f amplitude spectrum of
+    /// natural pictures. `cells` lattice cells per tile in the first octave.
     #[must_use]
     pub fn new(cells: [i32; 2], count: u32, gain: f32, seed: u64) -> Self {
         Self {
@@ -149,7 +150,8 @@ impl Octaves {
         sum
     }
 
-    /// Values at all `u` of a row, which increase: those of [`Self::at`], with the gradients of a cell looked up once.
+    /// Values at all `u` of a row, which increase: those of [`Self::at`], with the gradients of a
+    /// cell looked up once.
     pub(super) fn row(&self, us: &[f32], v: f32, row: &mut [f32]) {
         let v = self.line.unwrap_or(v);
         row.fill(0.0);

@@ -23,7 +23,8 @@ pub struct Packet<const N: usize> {
 const NOTHING: u32 = u32::MAX;
 
 impl<const N: usize> Packet<N> {
-    /// Rays from `origin` along `direction[axis][ray]`, up to `t_max` direction lengths, and what they meet.
+    /// Rays from `origin` along `direction[axis][ray]`, up to `t_max` direction lengths, and what
+    /// they meet.
     #[must_use]
     pub fn traced(origin: P3, direction: [[f32; N]; 3], t_max: f32, bvh: &Bvh) -> Self {
         let mut inverse = [[0.0; N]; 3];
@@ -209,7 +210,8 @@ pub(crate) fn set_lane<const N: usize>(direction: &mut [[f32; N]; 3], lane: usiz
     }
 }
 
-/// The smaller number, without the care for NaN that keeps `f32::min` from becoming one instruction.
+/// The smaller number, without the care for NaN that keeps `f32::min` from becoming one
+/// instruction.
 #[inline]
 fn least(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }

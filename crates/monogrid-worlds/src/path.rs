@@ -55,12 +55,13 @@ enum Kind {
     },
 }
 
-/// A point of a scripted motion: where the camera is and what it looks at (x, y, z in the world, m).
+/// A point of a scripted motion: where the camera is and what it looks at (x, y, z in the world,
+/// m).
 pub type Waypoint = ([f64; 3], [f64; 3]);
 
 impl CameraPath {
-    /// A motion through waypoints, evenly spread over the duration: cubic B-splines of the eye and of
-    /// the point looked at, plus the unsteadiness of the carrier.
+    /// A motion through waypoints, evenly spread over the duration: cubic B-splines of the eye and
+    /// of the point looked at, plus the unsteadiness of the carrier.
     ///
     /// # Errors
     /// With fewer than two waypoints.
@@ -91,7 +92,8 @@ impl CameraPath {
     }
 
     /// A recorded motion (TUM or EuRoC file), resampled to `knots_hz` control poses per second of a
-    /// cumulative cubic B-spline on SE(3); 20 Hz keeps a hand's motion and drops the tracker's noise.
+    /// cumulative cubic B-spline on SE(3); 20 Hz keeps a hand's motion and drops the tracker's
+    /// noise.
     ///
     /// # Errors
     /// With fewer than two poses, unsorted times, or poses that are not finite.
@@ -132,7 +134,8 @@ impl CameraPath {
         })
     }
 
-    /// The same poses, known to be a way from its end to its beginning: what else moves goes back too.
+    /// The same poses, known to be a way from its end to its beginning: what else moves goes back
+    /// too.
     #[must_use]
     pub(crate) fn played_backwards(mut self) -> Self {
         self.is_backwards = true;

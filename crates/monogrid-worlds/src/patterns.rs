@@ -1,7 +1,7 @@
 //! Procedural textures of the things in a room: wood, fabric, carpet, stone, pictures, print.
 //!
-//! Every pattern is a sum of octaves (amplitude about 1/f, as in natural pictures) plus the structure
-//! of the material, and repeats at the borders of its tile.
+//! Every pattern is a sum of octaves (amplitude about 1/f, as in natural pictures) plus the
+//! structure of the material, and repeats at the borders of its tile.
 
 use super::noise::{Octaves, gradient_noise};
 use super::random::{Random, mix2, unit};
@@ -246,7 +246,8 @@ impl Blot {
     }
 }
 
-/// The blots that reach each row of a tile, in their order; `near(centre, v)` is where a blot sees the row.
+/// The blots that reach each row of a tile, in their order; `near(centre, v)` is where a blot sees
+/// the row.
 fn blots_of_rows(blots: &[Blot], near: impl Fn(f32, f32) -> f32) -> Vec<Vec<Blot>> {
     let side = 1usize << TILE_LOG2;
     let of_row = |y: usize| {

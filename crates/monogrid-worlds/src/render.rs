@@ -1,7 +1,7 @@
 //! The ray caster: world + camera + pose in, linear radiance and exact depth out.
 //!
-//! Rays of four samples of four neighbouring pixels travel as one packet; rows are independent, so the
-//! picture does not depend on the number of threads.
+//! Rays of four samples of four neighbouring pixels travel as one packet; rows are independent, so
+//! the picture does not depend on the number of threads.
 
 use super::bvh::P3;
 use super::packet::{Packet, set_lane};
@@ -12,8 +12,8 @@ use monogrid_geometry::{Camera, Se3, Vec2, Vec3};
 use monogrid_image::GrayImage;
 use rayon::prelude::*;
 
-/// Samples per pixel and their offsets from its centre, px: a grid of 2x2, rotated so that edges along
-/// rows and columns get four grey levels between their sides.
+/// Samples per pixel and their offsets from its centre, px: a grid of 2x2, rotated so that edges
+/// along rows and columns get four grey levels between their sides.
 const SAMPLES: [[f32; 2]; 4] = [
     [-0.125, -0.375],
     [0.375, -0.125],
@@ -32,8 +32,8 @@ const SAMPLE_WIDTH_PX: f32 = 0.6;
 pub struct Rendered {
     /// Grey values in [0, 255] with the gamma of the renderer, not rounded.
     pub image: GrayImage,
-    /// Depth (z along the optical axis) of the ray through the centre of each pixel, m; NaN where there
-    /// is nothing.
+    /// Depth (z along the optical axis) of the ray through the centre of each pixel, m; NaN where
+    /// there is nothing.
     pub depth: GrayImage,
 }
 
@@ -99,8 +99,8 @@ impl Renderer {
         }
     }
 
-    /// Mean linear radiance over each pixel; 1 is what the sensor can just hold at gain 1. `poses` (`world_from_camera`) has
-    /// one for all rows, or one for each (rolling shutter).
+    /// Mean linear radiance over each pixel; 1 is what the sensor can just hold at gain 1. `poses`
+    /// (`world_from_camera`) has one for all rows, or one for each (rolling shutter).
     #[must_use]
     pub fn radiance(&self, world: &World, movers: &[Mover], poses: &[Se3]) -> GrayImage {
         self.image(movers, poses, PIXELS, |view, x, y, pixels| {
@@ -108,7 +108,8 @@ impl Renderer {
         })
     }
 
-    /// Exact depth (z, m) of the ray through the centre of each pixel, NaN where there is nothing; `poses` as in [`Self::radiance`].
+    /// Exact depth (z, m) of the ray through the centre of each pixel, NaN where there is nothing;
+    /// `poses` as in [`Self::radiance`].
     #[must_use]
     pub fn depth(&self, world: &World, movers: &[Mover], poses: &[Se3]) -> GrayImage {
         self.image(movers, poses, RAYS, |view, x, y, pixels| {
@@ -116,7 +117,8 @@ impl Renderer {
         })
     }
 
-    /// An image that is drawn so many neighbouring pixels of a row at a time, of which the first is at (x, y).
+    /// An image that is drawn so many neighbouring pixels of a row at a time, of which the first is
+    /// at (x, y).
     fn image(
         &self,
         movers: &[Mover],
@@ -291,7 +293,8 @@ impl<'a> View<'a> {
     }
 }
 
-/// Depth by the plane of the triangle in double precision: directions have z = 1 in the camera, so lengths of them are depths.
+/// Depth by the plane of the triangle in double precision: directions have z = 1 in the camera, so
+/// lengths of them are depths.
 fn exact_depth(world: &World, origin: &Vec3, direction: &P3, triangle: u32) -> f32 {
     let triangle = &world.bvh.triangles[triangle as usize];
     let to_f64 = |p: P3| p.map(f64::from);

@@ -1,7 +1,8 @@
-//! What a world is made of: materials, surfaces as grids of points, lamps; and the builder for them.
+//! What a world is made of: materials, surfaces as grids of points, lamps; and the builder for
+//! them.
 //!
-//! Every surface, flat or curved, is a grid of quadrilaterals ("patch"), so that one code path renders,
-//! lights, measures and exports everything. World axes: z up, metres.
+//! Every surface, flat or curved, is a grid of quadrilaterals ("patch"), so that one code path
+//! renders, lights, measures and exports everything. World axes: z up, metres.
 
 use super::bvh::P3;
 use super::texture::Texture;
@@ -190,7 +191,8 @@ impl Scene {
         self.object_at(name, Pose::identity());
     }
 
-    /// Begins an object placed at `pose`: what is added from now on belongs to it and is given in its frame.
+    /// Begins an object placed at `pose`: what is added from now on belongs to it and is given in
+    /// its frame.
     pub fn object_at(&mut self, name: &str, pose: Pose) {
         self.objects.push(name.to_owned());
         self.current = self.outer * pose;

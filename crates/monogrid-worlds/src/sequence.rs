@@ -246,7 +246,8 @@ impl SynthSequence {
         })
     }
 
-    /// Exact depth (z, m) of the `k`-th frame, NaN where there is nothing; `None` after the last frame.
+    /// Exact depth (z, m) of the `k`-th frame, NaN where there is nothing; `None` after the last
+    /// frame.
     #[must_use]
     pub fn depth(&self, k: usize) -> Option<GrayImage> {
         self.depth_through(&self.renderer, k)
@@ -313,7 +314,8 @@ impl SynthSequence {
         (0..height).map(pose).collect()
     }
 
-    /// Cars are where the camera has come to, however fast that is; who walks has a pace of their own.
+    /// Cars are where the camera has come to, however fast that is; who walks has a pace of their
+    /// own.
     fn movers(&self, secs: f64) -> Vec<Mover<'_>> {
         let cars = self.traffic.iter().zip(traffic(self.path.progress(secs)));
         let walker = self.mover.as_deref();

@@ -31,7 +31,8 @@ pub(crate) fn p(x: f32, y: f32, z: f32) -> P3 {
 }
 
 impl Scene {
-    /// Rectangle of `x` times `y` at a height that is seen from above; `corner` has the smallest coordinates.
+    /// Rectangle of `x` times `y` at a height that is seen from above; `corner` has the smallest
+    /// coordinates.
     pub fn floor(&mut self, corner: [f32; 3], [x, y]: [f32; 2], material: MaterialId) {
         self.quad(corner.into(), p(x, 0.0, 0.0), p(0.0, y, 0.0), material);
     }
@@ -46,7 +47,8 @@ impl Scene {
         self.light(corner.into(), p(0.0, y, 0.0), p(x, 0.0, 0.0), radiosity);
     }
 
-    /// A room from the origin to `size`: floor, ceiling and the walls at small x, large x, small y and large y.
+    /// A room from the origin to `size`: floor, ceiling and the walls at small x, large x, small y
+    /// and large y.
     pub fn room(
         &mut self,
         [x, y, z]: [f32; 3],
@@ -109,7 +111,8 @@ impl Scene {
         }
     }
 
-    /// Vertical picture of `width` x `height` that is seen from -y, with the middle of its lower edge at this place.
+    /// Vertical picture of `width` x `height` that is seen from -y, with the middle of its lower
+    /// edge at this place.
     pub fn panel(&mut self, [x, y, z]: [f32; 3], width: f32, height: f32, material: MaterialId) {
         self.at(place(x, y, z, 0.0), |s| {
             let corner = p(-0.5 * width, 0.0, height);
@@ -185,8 +188,8 @@ impl Scene {
         self.flip_last();
     }
 
-    /// Turned body: a profile, given by the radii and heights of its points, rotated about z; from top to bottom its
-    /// outside is the outside.
+    /// Turned body: a profile, given by the radii and heights of its points, rotated about z; from
+    /// top to bottom its outside is the outside.
     pub fn lathe(&mut self, radii: &[f32], heights: &[f32], segments: usize, material: MaterialId) {
         let Some(last) = radii.len().checked_sub(1).filter(|&n| n > 0) else {
             return;

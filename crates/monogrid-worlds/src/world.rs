@@ -5,8 +5,8 @@ use super::lighting::{LightMap, LightingConfig, bake};
 use super::mesh::{MeshLighting, MeshModel, vertex_light};
 use super::scene::{Material, Patch, Scene};
 
-/// An affine function of the barycentric coordinates of a triangle, texels: its value at the first corner and its changes
-/// with u and v.
+/// An affine function of the barycentric coordinates of a triangle, texels: its value at the first
+/// corner and its changes with u and v.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Texels {
     base: [f32; 2],
@@ -152,7 +152,8 @@ impl World {
         self.bvh.bounds()
     }
 
-    /// First surface along a ray: distance in lengths of `direction`; `None` when it leaves the world.
+    /// First surface along a ray: distance in lengths of `direction`; `None` when it leaves the
+    /// world.
     #[must_use]
     pub fn cast(&self, origin: [f64; 3], direction: [f64; 3]) -> Option<f64> {
         let [origin, direction] = [origin, direction].map(|v| P3::from(v.map(|c| c as f32)));

@@ -93,7 +93,8 @@ pub fn write_tum_layout(
     write_tum(&folder.join("groundtruth.txt"), &poses)
 }
 
-/// Writes what an inertial sensor beside the camera measures as `mav0/imu0`, EuRoC's layout, with the camera as the body.
+/// Writes what an inertial sensor beside the camera measures as `mav0/imu0`, EuRoC's layout, with
+/// the camera as the body.
 ///
 /// # Errors
 /// When a file cannot be written.
@@ -122,8 +123,8 @@ fn write_text(folder: &Path, name: &str, text: &str) -> Result<(), DatasetError>
     write_atomically(&folder.join(name), text.as_bytes())
 }
 
-/// Finest of the usual units (5000, 2000, 1000, ... per metre) in which the longest line of sight in
-/// the world fits into 16 bits.
+/// Finest of the usual units (5000, 2000, 1000, ... per metre) in which the longest line of sight
+/// in the world fits into 16 bits.
 fn depth_units(sequence: &SynthSequence) -> u32 {
     let size = sequence.world().bounds().size();
     let longest_m = size.iter().map(|s| s * s).sum::<f32>().sqrt();
@@ -156,8 +157,8 @@ fn calibration_line(camera: &Camera) -> Option<String> {
     ))
 }
 
-/// Writes both calibrations and returns the camera of the depth images: the same one, or its pinhole
-/// without the lens where the file for depth cannot describe the lens.
+/// Writes both calibrations and returns the camera of the depth images: the same one, or its
+/// pinhole without the lens where the file for depth cannot describe the lens.
 fn write_calibrations(
     config: &SynthConfig,
     units_per_m: u32,

@@ -1,13 +1,15 @@
-//! How long the global map needs after a loop closure that moves every keyframe, and what that costs
-//! tracking meanwhile.
+//! How long the global map needs after a loop closure that moves every keyframe, and what that
+//! costs tracking meanwhile.
 //!
 //! `cargo run --release -p monogrid-studies --example live_maps -- RECORDING FOLDER [key=value …]`
 //!
-//! Keys: `res=M` (edge of a cell), `keyframes=N` (keyframes of the recording are repeated up to this
-//! number, as seen a little later), `closures=N`, `frames=N` of FOLDER to track beside the closures.
+//! Keys: `res=M` (edge of a cell), `keyframes=N` (keyframes of the recording are repeated up to
+//! this number, as seen a little later), `closures=N`, `frames=N` of FOLDER to track beside the
+//! closures.
 //!
-//! The closure is a drift of 4 % in scale, 10 cm and 2 degrees, growing from the first keyframe to the
-//! last. CPU seconds are those of one thread; wall time means something on an idle machine only.
+//! The closure is a drift of 4 % in scale, 10 cm and 2 degrees, growing from the first keyframe to
+//! the last. CPU seconds are those of one thread; wall time means something on an idle machine
+//! only.
 #![allow(
     clippy::print_stdout,
     clippy::unwrap_used,

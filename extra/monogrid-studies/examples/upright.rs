@@ -3,11 +3,13 @@
 //! `cargo run --release -p monogrid-studies --example upright -- RECORDING...`
 //! `cargo run --release -p monogrid-studies --example upright -- worlds`
 //!
-//! A line per recording: up (x right, y down, z ahead of the first camera), its confidence, the floor, seconds.
+//! A line per recording: up (x right, y down, z ahead of the first camera), its confidence, the
+//! floor, seconds.
 //!
-//! A line per world: twelve keyframes along its built-in path, with the exact depth of textured pixels and 1 % of noise. The first
-//! is tilted by up to 60 degrees about a random axis, ten times: the largest error of up and of the height of the floor. Then all
-//! keyframes are rolled by the same angle, as by a camera that is mounted so.
+//! A line per world: twelve keyframes along its built-in path, with the exact depth of textured
+//! pixels and 1 % of noise. The first is tilted by up to 60 degrees about a random axis, ten times:
+//! the largest error of up and of the height of the floor. Then all keyframes are rolled by the
+//! same angle, as by a camera that is mounted so.
 #![allow(
     clippy::print_stdout,
     clippy::unwrap_used,

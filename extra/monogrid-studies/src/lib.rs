@@ -1,5 +1,6 @@
-//! Programs that measure `monogrid-slam` and `monogrid-mapping` apart from the command, for development: each is an example of this
-//! crate, and says at its head how it is called. What they share is here.
+//! Programs that measure `monogrid-slam` and `monogrid-mapping` apart from the command, for
+//! development: each is an example of this crate, and says at its head how it is called. What they
+//! share is here.
 #![allow(
     clippy::unwrap_used,
     reason = "a tool for development: what is wrong ends it"

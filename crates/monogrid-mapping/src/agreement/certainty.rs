@@ -1,9 +1,11 @@
 //! Whether depth is as certain as it says: from how well keyframes agree.
 //!
-//! Where two keyframes see the same surface, the difference of their depths over its standard deviation is a standard normal number
-//! if the deviations are right. The median of its absolute value over that of a normal (0.6745) is then what deviations have to
-//! be multiplied by. Keyframes share errors, since the same images measured them, and agree better with each other than with
-//! the truth by a usual factor. Measured depth has one factor for the whole map, and filled depth has one.
+//! Where two keyframes see the same surface, the difference of their depths over its standard
+//! deviation is a standard normal number if the deviations are right. The median of its absolute
+//! value over that of a normal (0.6745) is then what deviations have to be multiplied by. Keyframes
+//! share errors, since the same images measured them, and agree better with each other than with
+//! the truth by a usual factor. Measured depth has one factor for the whole map, and filled depth
+//! has one.
 
 use crate::scene::{DepthImage, Depths, KeptDepths, Scene, for_each_keyframe};
 use monogrid_geometry::median::median;
@@ -116,7 +118,8 @@ fn factor(differences: &mut [f32]) -> f32 {
     (SHARED_ERRORS * robust_deviation(differences)).clamp(*FACTORS.start(), *FACTORS.end())
 }
 
-/// The standard deviation of normal numbers with the median of these absolute values, of which there is one.
+/// The standard deviation of normal numbers with the median of these absolute values, of which
+/// there is one.
 fn robust_deviation(magnitudes: &mut [f32]) -> f32 {
     median(magnitudes).map_or(f32::NAN, |median| median / NORMAL_MEDIAN)
 }
@@ -133,8 +136,8 @@ fn sampled(pixels: &[Measurement]) -> Vec<Measurement> {
     pixels.iter().step_by(STRIDE).copied().collect()
 }
 
-/// Absolute differences, in standard deviations, of the depths of all keyframes from those of a witness: measured from measured depth,
-/// filled from filled.
+/// Absolute differences, in standard deviations, of the depths of all keyframes from those of a
+/// witness: measured from measured depth, filled from filled.
 fn differences_from(scene: &Scene, other: usize, mine: &[Option<Compared>]) -> [Vec<f32>; 2] {
     let mut differences = [Vec::new(), Vec::new()];
     let Some(witness) = &scene.views[other] else {
@@ -185,7 +188,8 @@ mod tests {
         height: 60,
     };
 
-    /// A wall at 2 seen by keyframes side by side, with errors of this relative deviation, of which they say `said`.
+    /// A wall at 2 seen by keyframes side by side, with errors of this relative deviation, of which
+    /// they say `said`.
     fn wall(errors: f32, said: f32) -> Vec<(Depths, Sim3)> {
         let mut state = 7_u32;
         let mut random = || {

@@ -3,8 +3,9 @@
 use monogrid_geometry::Sim3;
 use monogrid_slam::{KeyframeId, TrackedFrame};
 
-/// The paths of the camera in the frame of a map, one for each stretch of consecutive frames. `world_from_keyframe` says
-/// where keyframes are; frames of those that it does not know (fragments that are apart) are left out.
+/// The paths of the camera in the frame of a map, one for each stretch of consecutive frames.
+/// `world_from_keyframe` says where keyframes are; frames of those that it does not know (fragments
+/// that are apart) are left out.
 #[must_use]
 pub fn camera_paths<'a>(
     frames: &[TrackedFrame],
@@ -46,7 +47,8 @@ mod tests {
             keyframe,
             keyframe_from_frame: Se3::new(Rotation::identity(), Vec3::new(x, 0.0, 0.0)),
         };
-        // every second frame; one was lost, keyframe 2 is in a fragment; a second session begins at 0 again
+        // every second frame; one was lost, keyframe 2 is in a fragment; a second session begins at
+        // 0 again
         let frames = [
             frame(0, 0, 0.0),
             frame(2, 0, 1.0),

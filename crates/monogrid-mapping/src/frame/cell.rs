@@ -1,4 +1,5 @@
-//! How large cells should be where the scale is not known: from what keyframes see and how precisely.
+//! How large cells should be where the scale is not known: from what keyframes see and how
+//! precisely.
 
 use crate::{MappingConfig, UprightView};
 use monogrid_geometry::median::median;

@@ -1,7 +1,8 @@
 //! The heights that matter to what moves where the camera moved.
 
-/// From somewhat above the floor to somewhat above the camera. `occupied` and `cameras` are heights of occupied cells and of
-/// the camera; with a floor that was found it is at 0, without it what is lowest below the camera is taken for it.
+/// From somewhat above the floor to somewhat above the camera. `occupied` and `cameras` are heights
+/// of occupied cells and of the camera; with a floor that was found it is at 0, without it what is
+/// lowest below the camera is taken for it.
 ///
 /// Reorders `occupied`.
 #[must_use]

@@ -11,8 +11,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A map that follows the poses of its keyframes, a bounded piece of work at a time.
 ///
-/// The map always holds every keyframe exactly once, at the poses of one revision (but for those that
-/// moved less than the threshold since they were last integrated).
+/// The map always holds every keyframe exactly once, at the poses of one revision (but for those
+/// that moved less than the threshold since they were last integrated).
 #[derive(Debug)]
 pub(super) struct GlobalMap {
     pub map: KeyframeMap,
@@ -88,8 +88,8 @@ impl GlobalMap {
         }
     }
 
-    /// Does a bounded piece of work, at most the integration of one keyframe, towards the newest poses
-    /// and depths; `false` when there is nothing to do.
+    /// Does a bounded piece of work, at most the integration of one keyframe, towards the newest
+    /// poses and depths; `false` when there is nothing to do.
     pub fn step(&mut self, mapper: &Mapper) -> Result<bool, MapError> {
         let threshold = mapper.config().follow_threshold * mapper.config().resolution;
         self.step_beyond(mapper, threshold)
@@ -196,8 +196,8 @@ impl GlobalMap {
         self.placed.contains_key(&id)
     }
 
-    /// Brings every keyframe to its exact pose, in the frame of `map_from_world`, and adds those that
-    /// are `waiting`, with the poses they had when they came; `done` grows with each of those.
+    /// Brings every keyframe to its exact pose, in the frame of `map_from_world`, and adds those
+    /// that are `waiting`, with the poses they had when they came; `done` grows with each of those.
     pub fn settle(
         &mut self,
         mapper: &Mapper,

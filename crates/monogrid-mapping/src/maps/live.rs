@@ -27,8 +27,9 @@ pub struct Maps {
 /// The maps of a running system at one moment. They never change.
 #[derive(Clone, Debug)]
 pub struct LiveView {
-    /// Revision of the poses ([`PoseSnapshot::revision`]) at which *global* has the keyframes, but for
-    /// those that moved less than `follow_threshold` since they were mapped, or came afterwards.
+    /// Revision of the poses ([`PoseSnapshot::revision`]) at which *global* has the keyframes, but
+    /// for those that moved less than `follow_threshold` since they were mapped, or came
+    /// afterwards.
     pub revision: u64,
     /// What *global* holds.
     pub stats: MapStats,
@@ -77,8 +78,9 @@ impl MapReader {
 /// Maps that grow while keyframes are finished, and follow the graph.
 ///
 /// Meant for a thread of its own: it adds keyframes and poses as they come, and calls
-/// [`LiveMaps::step`] whenever nothing else is to be done. The work of a step is bounded, so that new
-/// keyframes never wait for long; what other threads read ([`LiveMaps::reader`]) is always complete.
+/// [`LiveMaps::step`] whenever nothing else is to be done. The work of a step is bounded, so that
+/// new keyframes never wait for long; what other threads read ([`LiveMaps::reader`]) is always
+/// complete.
 #[derive(Debug)]
 pub struct LiveMaps {
     mapper: Mapper,
@@ -86,8 +88,8 @@ pub struct LiveMaps {
     large: Arc<OccupancyMap>,
     first_poses: Vec<(KeyframeId, Sim3)>,
     global: GlobalMap,
-    /// Keyframes that came while nobody read, at the poses they had; the maps take them when they are
-    /// wanted. A map that follows every small correction costs twice its integration and more.
+    /// Keyframes that came while nobody read, at the poses they had; the maps take them when they
+    /// are wanted. A map that follows every small correction costs twice its integration and more.
     waiting: Vec<(Waiting, Sim3)>,
     /// Keyframes of fragments that are not joined to the main map: nobody knows where they are.
     apart: BTreeMap<KeyframeId, Waiting>,
@@ -115,8 +117,8 @@ impl Waiting {
         }
     }
 
-    /// What of it is mapped; nothing where it cannot be read back. Filling plain surfaces is left for the final maps, which have
-    /// better depth, as long as nobody looks.
+    /// What of it is mapped; nothing where it cannot be read back. Filling plain surfaces is left
+    /// for the final maps, which have better depth, as long as nobody looks.
     fn scan(self, config: &MappingConfig, is_read: bool) -> KeyframeScan {
         let (keyframe, camera) = match self {
             Self::Scan(scan) => return scan,
@@ -162,7 +164,8 @@ impl LiveMaps {
         &self.mapper
     }
 
-    /// For threads that read the maps while they grow. As long as nobody does, they are left for the end.
+    /// For threads that read the maps while they grow. As long as nobody does, they are left for
+    /// the end.
     ///
     /// # Errors
     /// As [`LiveMaps::add`], for keyframes that came before.
@@ -179,8 +182,8 @@ impl LiveMaps {
         Ok(reader)
     }
 
-    /// Adds a finished keyframe at the pose it has now; keyframes come in the order of their ids, but for those
-    /// of joined fragments.
+    /// Adds a finished keyframe at the pose it has now; keyframes come in the order of their ids,
+    /// but for those of joined fragments.
     ///
     /// # Errors
     /// An invalid pose, or a map that would exceed its memory.
@@ -232,14 +235,15 @@ impl LiveMaps {
         self.published.is_read()
     }
 
-    /// Takes a finished keyframe of a fragment; it is added when [`LiveMaps::follow`] hears that the fragment is
-    /// joined to the main map.
+    /// Takes a finished keyframe of a fragment; it is added when [`LiveMaps::follow`] hears that
+    /// the fragment is joined to the main map.
     pub fn add_apart(&mut self, keyframe: impl Into<Waiting>) {
         let keyframe = keyframe.into();
         self.apart.insert(keyframe.id(), keyframe);
     }
 
-    /// Takes other depth of a keyframe that was added before; *global* will use it, or what is made of it, *large* at the end.
+    /// Takes other depth of a keyframe that was added before; *global* will use it, or what is made
+    /// of it, *large* at the end.
     pub fn revise(&mut self, keyframe: impl Into<Waiting>) {
         let keyframe = keyframe.into();
         let id = keyframe.id();
@@ -263,8 +267,8 @@ impl LiveMaps {
         }
     }
 
-    /// Says where keyframes are now; *global* follows in [`LiveMaps::step`]. Keyframes that have come to the
-    /// main map are added.
+    /// Says where keyframes are now; *global* follows in [`LiveMaps::step`]. Keyframes that have
+    /// come to the main map are added.
     ///
     /// # Errors
     /// As [`LiveMaps::add`].
@@ -305,8 +309,8 @@ impl LiveMaps {
     }
 
     /// Brings *global* closer to the newest poses and depths, by at most the integration of one
-    /// keyframe, or makes the depth of a keyframe better, by a step of it, in turns; `false` when there is nothing to do, or when
-    /// nobody reads.
+    /// keyframe, or makes the depth of a keyframe better, by a step of it, in turns; `false` when
+    /// there is nothing to do, or when nobody reads.
     ///
     /// # Errors
     /// An invalid pose, or a map that would exceed its memory.
@@ -358,8 +362,9 @@ impl LiveMaps {
         }
     }
 
-    /// The same keyframes, with the depth of `scans` (all of them), in maps of other settings in which nothing is integrated yet. Those that
-    /// are not in the main map by `poses` are apart, though they may have been in it before.
+    /// The same keyframes, with the depth of `scans` (all of them), in maps of other settings in
+    /// which nothing is integrated yet. Those that are not in the main map by `poses` are apart,
+    /// though they may have been in it before.
     ///
     /// # Errors
     /// A setting of the map outside its range.
@@ -387,7 +392,8 @@ impl LiveMaps {
     /// The final maps: *global* at the poses of `snapshot`, all in the frame of `map_from_world`,
     /// *local* around `camera_in_map`.
     ///
-    /// `done` grows with every keyframe that is put in its place. The maps are those that a build from scratch gives, whatever [`LiveMaps::step`] had done.
+    /// `done` grows with every keyframe that is put in its place. The maps are those that a build
+    /// from scratch gives, whatever [`LiveMaps::step`] had done.
     ///
     /// # Errors
     /// An invalid pose, or a map that would exceed its memory.

@@ -84,7 +84,8 @@ impl Mapper {
             .map(|report| report.points.saturating_sub(scan.num_filled))
     }
 
-    /// Makes the space that the camera moved through free (`body_radius`): paths as [`super::super::camera_paths`] gives them.
+    /// Makes the space that the camera moved through free (`body_radius`): paths as
+    /// [`super::super::camera_paths`] gives them.
     ///
     /// # Errors
     /// A map that would exceed its memory.
@@ -219,13 +220,15 @@ impl Mapper {
         self.build_posed(&posed, &AtomicUsize::new(0))
     }
 
-    /// As [`Mapper::build`], of scans with `map_from_keyframe`; `done` grows with the keyframes, for those who wait.
+    /// As [`Mapper::build`], of scans with `map_from_keyframe`; `done` grows with the keyframes,
+    /// for those who wait.
     pub(super) fn build_posed(
         &self,
         posed: &[(&KeyframeScan, Sim3)],
         done: &AtomicUsize,
     ) -> Result<(OccupancyMap, MapStats), MapError> {
-        /// Keyframes that are in memory, and counted, at once, per thread: twice as many as are integrated together.
+        /// Keyframes that are in memory, and counted, at once, per thread: twice as many as are
+        /// integrated together.
         const COUNTED: usize = 4;
         let mut map = self.empty_map()?;
         let num_filled: usize = posed.iter().map(|(scan, _)| scan.num_filled).sum();

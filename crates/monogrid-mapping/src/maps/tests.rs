@@ -230,7 +230,8 @@ impl History {
         scans
     }
 
-    /// Plays the history with `steps(i)` steps after keyframe i, which stand for the time there was.
+    /// Plays the history with `steps(i)` steps after keyframe i, which stand for the time there
+    /// was.
     fn play(
         &self,
         threads: usize,

@@ -41,7 +41,8 @@ impl<'a> PosedKeyframe<'a> {
 pub enum ImageOf<'a> {
     /// At hand.
     Held(&'a Image<u8>),
-    /// Where there is room; it is asked for where it is needed, so that not all of them are in memory at once.
+    /// Where there is room; it is asked for where it is needed, so that not all of them are in
+    /// memory at once.
     Kept(&'a KeptKeyframe),
 }
 
@@ -112,8 +113,8 @@ impl<'a> Scene<'a> {
         Scene { views, ..*self }
     }
 
-    /// The other keyframes with image and pose that have a cost, given where they are (`neighbour_from_keyframe`): so many, the
-    /// cheapest first, equal ones in their order.
+    /// The other keyframes with image and pose that have a cost, given where they are
+    /// (`neighbour_from_keyframe`): so many, the cheapest first, equal ones in their order.
     pub fn neighbours(
         &self,
         index: usize,

@@ -5,8 +5,9 @@ use monogrid_geometry::{Pinhole, Sim3};
 use monogrid_image::Image;
 use nalgebra::{Matrix3, Vector3};
 
-/// Where another keyframe has the pixels of a keyframe, by their inverse depth d there: `(u, v, 1) W = A (x, y, 1) + b d` with
-/// `A = s K R K^-1` and `b = K t`, and the inverse depth there is `d / W`.
+/// Where another keyframe has the pixels of a keyframe, by their inverse depth d there: `(u, v, 1)
+/// W = A (x, y, 1) + b d` with `A = s K R K^-1` and `b = K t`, and the inverse depth there is `d /
+/// W`.
 #[derive(Clone, Debug)]
 pub(crate) struct Transfer {
     linear: Matrix3<f32>,

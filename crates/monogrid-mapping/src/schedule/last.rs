@@ -8,9 +8,9 @@ use monogrid_slam::Slam;
 use monogrid_slam::store::Store;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// What of each keyframe is mapped: its depth, with dense depth ([`monogrid_depth::dense_depth`]) or
-/// made better by the images of the keyframes around it ([`monogrid_depth::refine_depth`]) as the
-/// quality asks for, filtered and filled as [`KeyframeScan::new`] does.
+/// What of each keyframe is mapped: its depth, with dense depth ([`monogrid_depth::dense_depth`])
+/// or made better by the images of the keyframes around it ([`monogrid_depth::refine_depth`]) as
+/// the quality asks for, filtered and filled as [`KeyframeScan::new`] does.
 ///
 /// The result does not depend on the number of threads.
 #[must_use]

@@ -180,7 +180,8 @@ impl LiveDepth {
         })
     }
 
-    /// The one that is to be matched: after the last one in order, the newest where too many wait, else the oldest.
+    /// The one that is to be matched: after the last one in order, the newest where too many wait,
+    /// else the oldest.
     fn next_waiting(&self) -> Option<usize> {
         let after = match self.last.map(|id| self.index(id)) {
             Some(Ok(index) | Err(index)) => index,

@@ -15,8 +15,8 @@ const MAX_KEYFRAMES: usize = 8;
 /// the angle of rotation in radians.
 const MAX_SEPARATION: f64 = 1.0;
 
-/// The depth of each keyframe, made better by the images of the keyframes around it; as it was where
-/// fewer than two of them agree.
+/// The depth of each keyframe, made better by the images of the keyframes around it; as it was
+/// where fewer than two of them agree.
 ///
 /// The result does not depend on the number of threads.
 #[must_use]

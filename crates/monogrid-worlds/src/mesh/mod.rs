@@ -122,7 +122,8 @@ fn luma([r, g, b]: [f64; 3]) -> f64 {
 /// Sides of textures at most, texels.
 const MAX_TEXTURE_LOG2: u32 = 12;
 
-/// A material covered with a picture that corner coordinates place: resampled to powers of two, grey values to reflectance.
+/// A material covered with a picture that corner coordinates place: resampled to powers of two,
+/// grey values to reflectance.
 fn textured(image: &GrayImage) -> Material {
     let log2 = |n: usize| {
         let exponent = (n.max(1) as f32).log2().round();

@@ -62,8 +62,9 @@ fn plain_text(file: &[u8]) -> String {
     text.strip_prefix('\u{feff}').unwrap_or(&text).to_owned()
 }
 
-/// Says of one line after the other whether it has an index of nothing: beyond any file of this length, before the first
-/// element, or none of a position. `tobj` does arithmetic with indices before it checks them.
+/// Says of one line after the other whether it has an index of nothing: beyond any file of this
+/// length, before the first element, or none of a position. `tobj` does arithmetic with indices
+/// before it checks them.
 fn has_wild_index(text: &str) -> impl FnMut(&str) -> bool {
     let most = text.len() as i64;
     // positions, texture coordinates, normals so far

@@ -30,7 +30,8 @@ pub(crate) fn mover_world() -> World {
     World::new("walker", &scene, &LightingConfig::quick())
 }
 
-/// The cars that drive through a world, in the order of their poses; none where there is no traffic.
+/// The cars that drive through a world, in the order of their poses; none where there is no
+/// traffic.
 pub(crate) fn traffic_worlds(world: &World) -> Vec<World> {
     let paints: &[f32] = match world.name() {
         "street" => &street::PAINTS,
@@ -41,7 +42,8 @@ pub(crate) fn traffic_worlds(world: &World) -> Vec<World> {
     paints.iter().map(car).collect()
 }
 
-/// Pose of the walker, 0.6 m/s: up and down the stairs where there are some, else a line through the middle of the world.
+/// Pose of the walker, 0.6 m/s: up and down the stairs where there are some, else a line through
+/// the middle of the world.
 pub(crate) fn mover_pose(world: &World, secs: f64) -> Se3 {
     if world.name() == "stairs" {
         let (feet, heading) = stairs::walker(secs);

@@ -113,8 +113,8 @@ const MACHINE_HALL: [Waypoint; 26] = [
     ([12.2, 3.5, 1.8], [14.2, 12.0, 1.6]),
 ];
 
-/// Waypoints along the middle line of the corridor, looking ahead and a little to the side where there
-/// is something to see, once round and a bit further.
+/// Waypoints along the middle line of the corridor, looking ahead and a little to the side where
+/// there is something to see, once round and a bit further.
 fn corridor_loop() -> Vec<Waypoint> {
     let corners = [[1.0, 1.0], [19.0, 1.0], [19.0, 15.0], [1.0, 15.0]];
     let lengths = [18.0, 14.0, 18.0, 14.0];
@@ -203,7 +203,8 @@ impl From<Carrier> for Motion {
     }
 }
 
-/// Frames at 30 per second in which a built-in motion goes at a walking pace, or at that of a car in a town.
+/// Frames at 30 per second in which a built-in motion goes at a walking pace, or at that of a car
+/// in a town.
 #[must_use]
 pub fn usual_frames(world: &str) -> usize {
     match world {

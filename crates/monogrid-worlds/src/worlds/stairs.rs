@@ -1,7 +1,8 @@
-//! The staircase of a house of flats: four flights around a narrow well, landings, railings, plain walls.
+//! The staircase of a house of flats: four flights around a narrow well, landings, railings, plain
+//! walls.
 //!
-//! Each storey has a landing with two doors in the south (small y) and a half landing with a window in the north. Flights that
-//! lead north are in the west (small x).
+//! Each storey has a landing with two doors in the south (small y) and a half landing with a window
+//! in the north. Flights that lead north are in the west (small x).
 
 use super::furniture as f;
 use super::workplace::{self as w, Office};
@@ -197,7 +198,8 @@ fn flight(s: &mut Scene, m: &Materials) {
     s.bar(from, from + along, 0.025, m.wood);
 }
 
-/// A slanting box between x = `from` and x = `to`, along a flight, from `low` to `high` above the lower edge of its first riser.
+/// A slanting box between x = `from` and x = `to`, along a flight, from `low` to `high` above the
+/// lower edge of its first riser.
 fn slanting(s: &mut Scene, [from, to]: [f32; 2], [low, high]: [f32; 2], material: MaterialId) {
     let along = p(0.0, FLIGHT_Y[1] - FLIGHT_Y[0], RISE_M);
     let (across, up) = (p(to - from, 0.0, 0.0), p(0.0, 0.0, high - low));
@@ -225,14 +227,15 @@ fn level_railing(s: &mut Scene, m: &Materials, y: f32, [a, b]: [f32; 2], baluste
     }
 }
 
-/// Lengths of the way up a storey as seen from above, m: out of the landing and up, across the half landing, up and onto the
-/// landing, across it.
+/// Lengths of the way up a storey as seen from above, m: out of the landing and up, across the half
+/// landing, up and onto the landing, across it.
 const LEGS_M: [f64; 4] = [LEG_M, ACROSS_M, LEG_M, ACROSS_M];
 const LEG_M: f64 = 4.5;
 const ACROSS_M: f64 = 1.8;
 const STOREY_WAY_M: f64 = 2.0 * (LEG_M + ACROSS_M);
 
-/// A point of the middle line of the way up, on the steps, a distance (seen from above) after the ground floor.
+/// A point of the middle line of the way up, on the steps, a distance (seen from above) after the
+/// ground floor.
 fn on_way(distance_m: f64) -> [f64; 3] {
     let storey = (distance_m / STOREY_WAY_M).floor();
     let mut rest = distance_m - storey * STOREY_WAY_M;
@@ -257,7 +260,8 @@ fn on_way(distance_m: f64) -> [f64; 3] {
     [x, y, z + f64::from(STOREY_M) * storey]
 }
 
-/// Where somebody is who walks up and down all flights on the side of the well: feet on the steps, heading (rad).
+/// Where somebody is who walks up and down all flights on the side of the well: feet on the steps,
+/// heading (rad).
 pub(super) fn walker(secs: f64) -> ([f64; 3], f64) {
     const SPEED: f64 = 0.6;
     let whole_m = STOREY_WAY_M * STOREYS as f64 - ACROSS_M;

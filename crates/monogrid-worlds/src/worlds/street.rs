@@ -1,7 +1,9 @@
-//! A street with house fronts, parked cars and traffic, driven through by a car that turns left once.
+//! A street with house fronts, parked cars and traffic, driven through by a car that turns left
+//! once.
 //!
-//! The street runs along +x to a crossing and on along +y. Above the roofs is a glowing box, the sky: it has no texture, so nothing
-//! can be tracked on it, but it is a surface of the world, and depth images and truth maps have it.
+//! The street runs along +x to a crossing and on along +y. Above the roofs is a glowing box, the
+//! sky: it has no texture, so nothing can be tracked on it, but it is a surface of the world, and
+//! depth images and truth maps have it.
 
 use crate::path::Waypoint;
 use crate::patterns;
@@ -82,7 +84,8 @@ pub(super) fn scene() -> Scene {
     scene
 }
 
-/// Rows of houses: where they begin, along which direction they go, how far (m). Fronts are to the right of it.
+/// Rows of houses: where they begin, along which direction they go, how far (m). Fronts are to the
+/// right of it.
 fn rows() -> [(f32, f32, f32, f32); 8] {
     let (west, east) = (SECOND_X - FRONT_M, SECOND_X + FRONT_M);
     let [south, north] = ENDS_M;
@@ -286,7 +289,8 @@ const LANES_M: f64 = 3.5;
 /// Height of the camera on the car, m.
 const EYE_M: f64 = 1.6;
 
-/// A point of the lane, a distance after the start of the way, and its heading (rad); straight on before and after it.
+/// A point of the lane, a distance after the start of the way, and its heading (rad); straight on
+/// before and after it.
 fn on_lane(distance_m: f64, to_the_left_m: f64) -> ([f64; 2], f64) {
     let straight = TURN_X - START_X;
     let arc = QUARTER_TURN * TURN_M;
@@ -315,7 +319,8 @@ pub(super) fn way() -> Vec<Waypoint> {
 /// Paints of the cars that drive, in the order of [`traffic`].
 pub(crate) const PAINTS: [f32; 8] = [0.35, 0.7, 0.12, 0.6, 0.05, 0.5, 0.75, 0.2];
 
-/// Where cars are when the camera has gone a part of its way, in [0, 1]: two ahead at about its speed, six that come towards it.
+/// Where cars are when the camera has gone a part of its way, in [0, 1]: two ahead at about its
+/// speed, six that come towards it.
 pub(crate) fn traffic(progress: f64) -> [Se3; PAINTS.len()] {
     std::array::from_fn(|k| {
         let gone_m = WAY_M * progress;

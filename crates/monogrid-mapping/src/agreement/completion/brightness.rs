@@ -21,7 +21,8 @@ pub(super) struct Brightness {
 }
 
 impl Brightness {
-    /// Of two images, by pixels of which it is known where the other one shows them; `None` where there are too few.
+    /// Of two images, by pixels of which it is known where the other one shows them; `None` where
+    /// there are too few.
     pub fn between(
         mine: &Image<u8>,
         theirs: &Image<u8>,
@@ -37,7 +38,8 @@ impl Brightness {
         Self::of_pairs(pairs.collect())
     }
 
-    /// The line through the medians of the darkest and the brightest third: what only one of them shows, moves neither.
+    /// The line through the medians of the darkest and the brightest third: what only one of them
+    /// shows, moves neither.
     fn of_pairs(mut pairs: Vec<[f32; 2]>) -> Option<Self> {
         if pairs.len() < MIN_PAIRS {
             return None;
@@ -70,7 +72,8 @@ fn medians(pairs: &[[f32; 2]]) -> [f32; 2] {
     })
 }
 
-/// Grey level at a place, the mean of those half a pixel to all sides: of 3x3 pixels, those on either side as far as they belong to it.
+/// Grey level at a place, the mean of those half a pixel to all sides: of 3x3 pixels, those on
+/// either side as far as they belong to it.
 #[inline]
 pub(super) fn smooth_at(image: &Image<u8>, x: f32, y: f32) -> f32 {
     let (columns, across) = window(x, image.width());
@@ -83,7 +86,8 @@ pub(super) fn smooth_at(image: &Image<u8>, x: f32, y: f32) -> f32 {
     down[0] * of_row(rows[0]) + down[1] * of_row(rows[1]) + down[2] * of_row(rows[2])
 }
 
-/// The three pixels around a place along one direction, those of the border again beyond it, and their weights.
+/// The three pixels around a place along one direction, those of the border again beyond it, and
+/// their weights.
 #[inline]
 fn window(at: f32, size: usize) -> ([usize; 3], [f32; 3]) {
     let at = (at - 0.5).max(0.0);

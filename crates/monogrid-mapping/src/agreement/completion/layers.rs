@@ -6,8 +6,8 @@ use crate::scene::{DepthImage, KeptDepths, Transfer};
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
 
-/// How much less certain depth is where it was taken over than where it was measured: half of what is wrong lies in rims of objects
-/// (`docs/studies.md`).
+/// How much less certain depth is where it was taken over than where it was measured: half of what
+/// is wrong lies in rims of objects (`docs/studies.md`).
 const TAKEN_OVER: f32 = 1.3;
 /// Surfaces on a line of sight that are told apart.
 const MAX_LAYERS: usize = 3;
@@ -32,7 +32,8 @@ impl Layer {
 #[derive(Debug)]
 pub(super) struct Layers {
     layers: Image<[Layer; MAX_LAYERS]>,
-    /// The nearest that one keyframe has: inverse depth, 0 for none, and its relative standard deviation.
+    /// The nearest that one keyframe has: inverse depth, 0 for none, and its relative standard
+    /// deviation.
     nearest: Image<[f32; 2]>,
 }
 
@@ -51,7 +52,8 @@ impl Layers {
         (self.layers.width(), self.layers.height())
     }
 
-    /// Adds the first surface that a keyframe has on each line of sight; inverse depths that differ by more than this share are of two.
+    /// Adds the first surface that a keyframe has on each line of sight; inverse depths that differ
+    /// by more than this share are of two.
     pub fn hear(&mut self, depths: &KeptDepths, this_from_other: &Transfer, tolerance: f32) {
         let (width, height) = self.size();
         self.nearest.as_mut_slice().fill([0.0; 2]);

@@ -3,8 +3,10 @@
 //! A table top that is too plain for stereo from here may have been measured from there. What the
 //! first surface on the line of sight of a pixel is, other keyframes tell ([`layers`]), if
 //!
-//! * enough of them have it, and few see through it: depth spreads beyond the edges of objects, and from one side only;
-//! * the pixel looks there as they do ([`brightness`]): else something is before it that none of them has measured.
+//! - enough of them have it, and few see through it: depth spreads beyond the edges of objects, and
+//!   from one side only;
+//! - the pixel looks there as they do ([`brightness`]): else something is before it that none of
+//!   them has measured.
 
 mod brightness;
 mod layers;

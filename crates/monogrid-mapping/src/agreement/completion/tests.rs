@@ -17,7 +17,8 @@ struct Taken {
     pose: Sim3,
 }
 
-/// Keyframes that see the wall, with the inverse depth of the point that each has at a pixel; 0: none.
+/// Keyframes that see the wall, with the inverse depth of the point that each has at a pixel; 0:
+/// none.
 fn taken(count: usize, idepth: impl Fn(usize, f32, f32) -> f32) -> Vec<Taken> {
     (0..count)
         .map(|keyframe| {
@@ -136,7 +137,8 @@ fn what_looks_different_keeps_its_hole() {
 
 #[test]
 fn what_others_see_through_is_not_taken_over() {
-    // two keyframes have a false patch half way to the wall, at the same place; two see the wall behind it
+    // two keyframes have a false patch half way to the wall, at the same place; two see the wall
+    // behind it
     let with_patch = |keyframe: usize, u: f32, v: f32| {
         let (x, y) = ((u - 79.5) / 140.0, (v - 59.5) / 140.0);
         let beside = 0.08 * keyframe as f32;

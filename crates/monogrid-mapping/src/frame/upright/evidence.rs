@@ -1,4 +1,5 @@
-//! What keyframes say about directions: planes of their depth, straight edges of their images, how they were held.
+//! What keyframes say about directions: planes of their depth, straight edges of their images, how
+//! they were held.
 
 use super::segments::segments;
 use crate::planes::planes_of_image;

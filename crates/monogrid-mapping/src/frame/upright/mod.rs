@@ -52,8 +52,8 @@ pub fn floor_below(views: &[UprightView], up_in_world: &Vec3) -> Option<Floor> {
     floor::floor(views, &evidence, &up_in_world.normalize())
 }
 
-/// The frame with z along `up_in_world`, x ahead of the first camera (which the world is the frame of) and z = 0 at the
-/// floor; without a floor at the first camera.
+/// The frame with z along `up_in_world`, x ahead of the first camera (which the world is the frame
+/// of) and z = 0 at the floor; without a floor at the first camera.
 #[must_use]
 pub fn level_from_world(up_in_world: &Vec3, floor: Option<&Floor>) -> Sim3 {
     let up = up_in_world.normalize();

@@ -1,8 +1,8 @@
 //! Straight edges of an image.
 //!
-//! Pixels of strong gradient whose gradient is largest across the edge are joined to their neighbours of the same
-//! direction; a group that is long and thin is a segment (Burns, Hanson and Riseman, "Extracting straight lines",
-//! PAMI 1986, line support regions).
+//! Pixels of strong gradient whose gradient is largest across the edge are joined to their
+//! neighbours of the same direction; a group that is long and thin is a segment (Burns, Hanson and
+//! Riseman, "Extracting straight lines", PAMI 1986, line support regions).
 
 use monogrid_image::{GradientImage, Image};
 

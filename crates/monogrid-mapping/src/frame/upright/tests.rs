@@ -16,7 +16,8 @@ const CAMERA: KeyframeCamera = KeyframeCamera {
     height: 120,
 };
 
-/// Walls, floor and, where there is one, a table: a point is inside where `normal . point > offset`.
+/// Walls, floor and, where there is one, a table: a point is inside where `normal . point >
+/// offset`.
 struct Room {
     planes: Vec<(Vec3, f64)>,
     table_height: Option<f64>,
@@ -117,7 +118,8 @@ fn angle_deg(a: &Vec3, b: &Vec3) -> f64 {
 
 #[test]
 fn a_room_is_level_however_it_was_entered() {
-    // a run that starts tilted by up to 60 degrees about any axis, or upside down, and is held as usual afterwards
+    // a run that starts tilted by up to 60 degrees about any axis, or upside down, and is held as
+    // usual afterwards
     for k in 0..10 {
         let angle = if k == 9 {
             180.0

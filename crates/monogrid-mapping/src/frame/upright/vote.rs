@@ -1,4 +1,5 @@
-//! Which direction is up: planes and straight edges vote, the way in which the camera was held decides among what they leave.
+//! Which direction is up: planes and straight edges vote, the way in which the camera was held
+//! decides among what they leave.
 
 use super::Upright;
 use super::evidence::Evidence;
@@ -20,8 +21,8 @@ const PITCH_SIGMA_DEG: f64 = 35.0;
 /// Directions closer than this are the same one, degrees.
 const SAME_DEG: f64 = 20.0;
 
-/// The direction that most speaks for, without a floor: searches the sphere, then adjusts the best one. Few votes, or another direction
-/// that nearly as much speaks for, make it doubtful.
+/// The direction that most speaks for, without a floor: searches the sphere, then adjusts the best
+/// one. Few votes, or another direction that nearly as much speaks for, make it doubtful.
 pub(super) fn vote(evidence: &Evidence) -> Option<Upright> {
     if evidence.poses.is_empty() || evidence.patches.is_empty() && evidence.edges.is_empty() {
         return None;
@@ -68,10 +69,11 @@ fn kernel(sine: f64, reach: f64) -> f64 {
     (1.0 - ratio * ratio).max(0.0).powi(2)
 }
 
-/// Votes for a direction less those that a random direction gets, per keyframe: level planes, upright planes,
-/// upright edges.
+/// Votes for a direction less those that a random direction gets, per keyframe: level planes,
+/// upright planes, upright edges.
 fn support(evidence: &Evidence, up: &Vec3, reach: f64) -> f64 {
-    // the mean of the kernel over a random great circle; over a random plane's normal it is negligible
+    // the mean of the kernel over a random great circle; over a random plane's normal it is
+    // negligible
     let by_chance = 8.0 / 15.0 * reach;
     let patches: f64 = evidence
         .patches
@@ -90,7 +92,8 @@ fn support(evidence: &Evidence, up: &Vec3, reach: f64) -> f64 {
     (patches + edges) / (2 * evidence.poses.len()) as f64
 }
 
-/// How likely a camera is held so, over all keyframes: seldom rolled, not much pitched, rarely upside down.
+/// How likely a camera is held so, over all keyframes: seldom rolled, not much pitched, rarely
+/// upside down.
 fn held(evidence: &Evidence, up: &Vec3) -> f64 {
     let (mut roll, mut pitch, mut above) = (0.0, 0.0, 0.0);
     for pose in &evidence.poses {
@@ -113,8 +116,9 @@ fn held(evidence: &Evidence, up: &Vec3) -> f64 {
     (-0.5 * (roll * roll + pitch * pitch)).exp()
 }
 
-/// The direction that the votes within reach agree on: least squares with the weights of the kernel, that is the
-/// eigenvector of the smallest eigenvalue of the sum of `n n^T` over upright planes and edges less that over level planes.
+/// The direction that the votes within reach agree on: least squares with the weights of the
+/// kernel, that is the eigenvector of the smallest eigenvalue of the sum of `n n^T` over upright
+/// planes and edges less that over level planes.
 fn adjusted(evidence: &Evidence, up: &Vec3, reach: f64) -> Option<Vec3> {
     let mut sum = Mat3::zeros();
     for patch in &evidence.patches {

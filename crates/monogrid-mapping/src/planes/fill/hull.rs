@@ -1,6 +1,8 @@
-//! Where the outline of a region holds its plane: inside of the convex hull of the points that lie on it.
+//! Where the outline of a region holds its plane: inside of the convex hull of the points that lie
+//! on it.
 
-/// How far beyond the hull a plane still holds, px: outlines are measured beside a region, and not everywhere.
+/// How far beyond the hull a plane still holds, px: outlines are measured beside a region, and not
+/// everywhere.
 const MARGIN_PX: f64 = 8.0;
 
 /// A convex polygon.
@@ -45,7 +47,8 @@ impl Hull {
     }
 }
 
-/// The lower half of the hull of points in the order of x, or the upper half of points in reverse order.
+/// The lower half of the hull of points in the order of x, or the upper half of points in reverse
+/// order.
 fn chain<'a>(points: impl Iterator<Item = &'a [f64; 2]>) -> Vec<[f64; 2]> {
     let mut corners: Vec<[f64; 2]> = Vec::new();
     for point in points {
