@@ -53,11 +53,11 @@ else
   scans=45
 fi
 
-# example CRATE NAME ARGUMENT...: an example of a crate, its output as it comes, as a block of code.
+# example -p CRATE --example NAME ARGUMENT...: an example of a crate, its output as it comes, as a block of code.
 example() {
   echo
-  echo "    \$ $2 ${*:3}"
-  cargo run --quiet --release -p "monogrid-$1" --example "$2" -- "${@:3}" | sed 's/^/    /'
+  echo "    \$ $4 ${*:5}"
+  cargo run --quiet --release "${@:1:4}" -- "${@:5}" | sed 's/^/    /'
 }
 # The output of another script as a block of code.
 verbatim() {
@@ -225,13 +225,13 @@ part_octomap() {
   plain_run tsukuba
   verbatim crates/monogrid-occupancy/tests/octomap/verify.sh "$results/octomap" "$results/tsukuba-plain/global.ot"
   for test in fused keyframes moving_obstacles; do
-    verbatim cargo test --quiet --release -p monogrid-occupancy --test "$test" -- --nocapture
+    verbatim cargo test --quiet --release -p monogrid-occupancy --test suite "$test::" -- --nocapture
   done
 }
 
 part_live() {
   plain_run "$speed_sequence"
-  example mapping live_maps "$results/$speed_sequence-plain/recording.mgk" "$data/$speed_sequence" frames=100
+  example -p monogrid-studies --example live_maps "$results/$speed_sequence-plain/recording.mgk" "$data/$speed_sequence" frames=100
 }
 
 # One line of the table of speed: PROFILE CORES THREADS, the median of the runs by frames per second.
@@ -269,7 +269,7 @@ part_size() { scripts/size.py; }
 
 part_room() {
   room living-room
-  example slam one_room "$source" size=320x240 frames="$room_frames"
+  example -p monogrid-studies --example one_room "$source" size=320x240 frames="$room_frames"
 }
 
 corridor() { # FRAMES OPTION...: $source
@@ -287,31 +287,31 @@ part_loops() {
     evaluated "$run" "$source" || true
     echo "| $i | $(digits 2 "$(value "$run.ate" ate_rmse)") m | $(digits 4 "$(value "$run.ate" scale_drift)") | $(value "$run.json" loop_closures) |"
   done
-  example graph timing
+  example -p monogrid-graph --example timing
 }
 
 part_kidnap() {
   room living-room
-  example slam kidnap "$source" "$cases"
-  [ "$mode" = quick ] || example slam kidnap "$data/red-kitchen" "$cases"
+  example -p monogrid-studies --example kidnap "$source" "$cases"
+  [ "$mode" = quick ] || example -p monogrid-studies --example kidnap "$data/red-kitchen" "$cases"
 }
 
 part_fragments() {
   if [ "$mode" = quick ]; then
     room office
-    example slam fragments "$source" parts=0-100,200-290
+    example -p monogrid-studies --example fragments "$source" parts=0-100,200-290
     return
   fi
-  for ranges in 0-180,400-700 0-250,450-700; do example slam fragments "$data/red-kitchen" parts="$ranges"; done
+  for ranges in 0-180,400-700 0-250,450-700; do example -p monogrid-studies --example fragments "$data/red-kitchen" parts="$ranges"; done
   room living-room
   local other=$source
-  example slam fragments "$source" parts=0-250,780-1260
+  example -p monogrid-studies --example fragments "$source" parts=0-250,780-1260
   room office
-  example slam fragments "$source" parts=0-250,800-1499
-  example slam fragments "$source" parts=0-250,OTHER:300-900 OTHER="$other"
+  example -p monogrid-studies --example fragments "$source" parts=0-250,800-1499
+  example -p monogrid-studies --example fragments "$source" parts=0-250,OTHER:300-900 OTHER="$other"
   corridor 2000
-  example slam fragments "$source" parts=0-400,1000-1999
-  example slam fragments "$source" parts=0-400,840-1340 step=2
+  example -p monogrid-studies --example fragments "$source" parts=0-400,1000-1999
+  example -p monogrid-studies --example fragments "$source" parts=0-400,840-1340 step=2
 }
 
 part_sessions() {
