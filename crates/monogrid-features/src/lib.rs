@@ -37,8 +37,8 @@ pub use place::{
 };
 pub(crate) use track::noise_share;
 pub use track::{
-    Likeness, LikenessConfig, LikenessSlope, PatchFit, PatchSearchConfig, ReferencePatch,
-    TrackConfig, TrackOutcome, find_patch, finest_pixel, level_pixel, patch_level, patch_warp,
-    track_points,
+    PatchFit, PatchSearchConfig, PhotometricCost, PhotometricCostConfig, PhotometricSlope,
+    ReferencePatch, TrackConfig, TrackOutcome, find_patch, finest_pixel, level_pixel, patch_level,
+    patch_warp, track_points,
 };
 pub use two_view::{Match, TriangulatedPoint, TwoView, TwoViewConfig, TwoViewOutcome, two_view};

@@ -57,7 +57,7 @@ pub(crate) struct View {
     pub samples: Kept<Vec<DepthPixel>>,
     pub exposure: Exposure,
     /// Whether its shape and scale can be relied on: not so the first keyframes of a random start.
-    pub is_settled: bool,
+    pub has_converged: bool,
 }
 
 impl KeyframeImage {

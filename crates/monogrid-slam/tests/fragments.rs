@@ -200,23 +200,23 @@ fn another_place_that_looks_alike_stays_apart_and_moves_nothing() {
     let inputs = known_then(&other);
     let num_known = world().known.len();
     let mut reports = run(&mut slam, &inputs[..num_known]);
-    let mut settled = None;
+    let mut earlier = None;
     for input in &inputs[num_known..] {
         reports.push(slam.process_frame(input.clone()));
         let started = reports.iter().position(|r| r.started_fragment.is_some());
         if started.is_some_and(|k| k + 6 == reports.len()) {
-            settled = Some(slam.snapshot());
+            earlier = Some(slam.snapshot());
         }
     }
-    let settled = settled.unwrap();
+    let earlier = earlier.unwrap();
     let last = slam.snapshot();
-    let num_main = settled.fragment.iter().filter(|f| **f == MAIN_MAP).count();
-    assert_eq!(last.fragment[..num_main], settled.fragment[..num_main]);
+    let num_main = earlier.fragment.iter().filter(|f| **f == MAIN_MAP).count();
+    assert_eq!(last.fragment[..num_main], earlier.fragment[..num_main]);
     assert!(last.fragment[num_main..].iter().all(|f| *f == 1));
     assert!(last.fragment.len() > num_main + 2);
     assert_eq!(
         last.world_from_keyframe[..num_main],
-        settled.world_from_keyframe[..num_main]
+        earlier.world_from_keyframe[..num_main]
     );
     let after = &reports[num_known..];
     assert!(after.iter().all(|r| r.world_from_camera.is_none()));

@@ -33,7 +33,7 @@ pub(super) fn winners(volume: &CostVolume, image: &GrayImage, config: &DenseConf
             depth.sigma.as_mut_slice()[pixel] = sigma;
         }
     });
-    without_rims(depth, image)
+    without_occlusion_boundaries(depth, image)
 }
 
 /// Inverse depth and standard deviation of one pixel.
@@ -65,7 +65,7 @@ fn winner(volume: &CostVolume, pixel: usize, sums: &[i16]) -> Option<(f32, f32)>
 
 /// Without plain pixels near others of another depth or of none: a window that holds the edge of an
 /// object has its depth, though the middle of the window shows what is behind.
-fn without_rims(depth: DenseDepth, image: &GrayImage) -> DenseDepth {
+fn without_occlusion_boundaries(depth: DenseDepth, image: &GrayImage) -> DenseDepth {
     let (width, height) = (depth.idepth.width(), depth.idepth.height());
     let reach = RADIUS + 1;
     let is_rim = |x: usize, y: usize| {

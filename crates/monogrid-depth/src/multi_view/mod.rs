@@ -9,19 +9,19 @@
 //! x'(rho) = pi(K R K^-1 (x, y, 1) + rho K t / s)          (s R, t: source from keyframe)
 //! ```
 //!
-//! Flow per pixel: the sources that see it with enough disparity along its gradient ([`sight`]) →
+//! Flow per pixel: the sources that see it with enough disparity along its gradient ([`pixel_projection`]) →
 //! the best normalised correlation of a patch over a short range of inverse depths ([`search`]) →
 //! Gauss-Newton on ln(rho) over all these sources, with gain and bias of each patch free, which
 //! also gives the variance. A pixel that its sources do not agree about has no new depth. Half of
 //! the pixels take the mean of their neighbours where these agree.
 
+mod pixel_projection;
 mod search;
-mod sight;
 
 use crate::DepthPixel;
 use monogrid_geometry::{Pinhole, Sim3};
 use monogrid_image::Image;
-use sight::Projected;
+use pixel_projection::Projected;
 
 /// Another keyframe.
 #[derive(Clone, Copy, Debug)]
@@ -69,8 +69,8 @@ pub fn refine_depth(
     sources: &[SourceView],
     config: &MultiViewConfig,
 ) -> (Vec<DepthPixel>, usize) {
-    let projections = Projected::of_sources(image, camera, sources);
-    let mut search = search::Search::new(image, &projections, config);
+    let projected = Projected::of_sources(image, camera, sources);
+    let mut search = search::Search::new(image, &projected, config);
     let is_first = |p: &DepthPixel| !config.interpolate || (p.x ^ p.y).is_multiple_of(2);
     let mut refine_first = |p| if is_first(p) { search.refine(p) } else { None };
     let mut refined: Vec<Option<DepthPixel>> = pixels.iter().map(&mut refine_first).collect();

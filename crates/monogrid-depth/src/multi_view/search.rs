@@ -1,7 +1,7 @@
 //! The inverse depth that the sources agree about.
 
 use super::MultiViewConfig;
-use super::sight::{PATTERN, Projected, SAMPLES, Sight};
+use super::pixel_projection::{PATTERN, PixelProjection, Projected, SAMPLES};
 use crate::DepthPixel;
 use monogrid_image::lanes::Lanes;
 use monogrid_image::{Image, for_lanes};
@@ -47,10 +47,10 @@ pub(super) const NOISE_CONTRAST: f32 = 4.0;
 /// Refines the pixels of one keyframe, one after the other.
 pub(super) struct Search<'a> {
     image: &'a Image<u8>,
-    projections: &'a [Projected<'a>],
+    sources: &'a [Projected<'a>],
     config: &'a MultiViewConfig,
     /// Of the present pixel, largest disparity first.
-    pub sights: Vec<Sight<'a>>,
+    pub projections: Vec<PixelProjection<'a>>,
 }
 
 /// The surroundings of a pixel in the keyframe: mean 0, norm 1.
@@ -73,21 +73,21 @@ pub(super) struct Normal {
 impl<'a> Search<'a> {
     pub fn new(
         image: &'a Image<u8>,
-        projections: &'a [Projected<'a>],
+        sources: &'a [Projected<'a>],
         config: &'a MultiViewConfig,
     ) -> Self {
         Self {
             image,
-            projections,
+            sources,
             config,
-            sights: Vec::with_capacity(projections.len()),
+            projections: Vec::with_capacity(sources.len()),
         }
     }
 
     /// A better depth of a pixel; `None` where fewer than two sources see it or agree.
     pub fn refine(&mut self, pixel: &DepthPixel) -> Option<DepthPixel> {
         let patch = Patch::around(self.image, pixel)?;
-        self.find_sights(pixel)?;
+        self.find_projections(pixel)?;
         let (idepth, variance) = self.confirm(pixel, &patch).or_else(|| {
             let (start, step) = self.best_of_range(pixel, &patch)?;
             self.iterate(start, 1.5 * step, 2, &patch)
@@ -98,25 +98,27 @@ impl<'a> Search<'a> {
 
     /// Finds the sources that see the pixel with the largest disparity; `None` if there are not
     /// two.
-    pub fn find_sights(&mut self, pixel: &DepthPixel) -> Option<()> {
+    pub fn find_projections(&mut self, pixel: &DepthPixel) -> Option<()> {
         let direction = gradient_direction(self.image, pixel)?;
         let at = [f64::from(pixel.x), f64::from(pixel.y)];
         let idepth = f64::from(pixel.idepth);
-        let sights = &mut self.sights;
-        sights.clear();
-        let seen = |source| Sight::new(source, at, idepth, direction, self.config);
-        sights.extend(self.projections.iter().filter_map(seen));
+        let projections = &mut self.projections;
+        projections.clear();
+        let seen = |source| PixelProjection::new(source, at, idepth, direction, self.config);
+        projections.extend(self.sources.iter().filter_map(seen));
         // stable: equal ones in the order of the sources
-        sights.sort_by(|a, b| b.disparity.total_cmp(&a.disparity));
-        sights.truncate(self.config.max_sources);
-        sights.iter_mut().for_each(Sight::lay_out_patch);
-        (sights.len() >= 2).then_some(())
+        projections.sort_by(|a, b| b.disparity.total_cmp(&a.disparity));
+        projections.truncate(self.config.max_sources);
+        projections
+            .iter_mut()
+            .for_each(PixelProjection::lay_out_patch);
+        (projections.len() >= 2).then_some(())
     }
 
     /// Most depths are right to within a pixel, and all sources say so: these need no search.
     fn confirm(&self, pixel: &DepthPixel, patch: &Patch) -> Option<(f64, f64)> {
-        let reach = CONFIRMED_PX / self.sights.first()?.disparity;
-        self.iterate(pixel.idepth.into(), reach, self.sights.len(), patch)
+        let reach = CONFIRMED_PX / self.projections.first()?.disparity;
+        self.iterate(pixel.idepth.into(), reach, self.projections.len(), patch)
     }
 
     /// The best correlation around the present depth, over the sources of the smallest disparity:
@@ -125,14 +127,16 @@ impl<'a> Search<'a> {
         let idepth = f64::from(pixel.idepth);
         let sigma = f64::from(pixel.idepth_var).sqrt() / idepth;
         let range = (SEARCH_SIGMAS * sigma).clamp(MIN_SEARCH, MAX_SEARCH);
-        let first = self.sights.len().saturating_sub(SEARCH_SOURCES);
-        let sights = &self.sights[first..];
-        let step = (SEARCH_STEP_PX / sights.first()?.disparity).min(range / 2.0);
+        let first = self.projections.len().saturating_sub(SEARCH_SOURCES);
+        let projections = &self.projections[first..];
+        let step = (SEARCH_STEP_PX / projections.first()?.disparity).min(range / 2.0);
         let steps = ((range / step).ceil() as usize).min(MAX_STEPS);
         let at = |index: usize| idepth * (1.0 + step * (index as f64 - steps as f64));
         let mut costs = [f32::INFINITY; 2 * MAX_STEPS + 1];
         for (index, cost) in costs.iter_mut().enumerate().take(2 * steps + 1) {
-            let costs = sights.iter().map(|sight| cost_at(sight, at(index), patch));
+            let costs = projections
+                .iter()
+                .map(|projection| cost_at(projection, at(index), patch));
             *cost = costs.sum();
         }
         let best = (0..=2 * steps).min_by(|a, b| costs[*a].total_cmp(&costs[*b]))?;
@@ -152,11 +156,11 @@ impl<'a> Search<'a> {
         min_agreeing: usize,
         patch: &Patch,
     ) -> Option<(f64, f64)> {
-        let converged = CONVERGED_PX / self.sights.first()?.disparity;
+        let converged = CONVERGED_PX / self.projections.first()?.disparity;
         let mut idepth = start;
         let mut variance = f64::INFINITY;
         for _ in 0..ITERATIONS {
-            let normal = normal_equation(&self.sights, idepth, patch);
+            let normal = normal_equation(&self.projections, idepth, patch);
             if normal.agreeing < min_agreeing || normal.hessian <= 0.0 {
                 return None;
             }
@@ -240,33 +244,33 @@ fn fused(before: &DepthPixel, idepth: f64, variance: f64) -> DepthPixel {
 for_lanes! {
     /// Residuals of all sources after gain and bias, and their derivative by ln(rho).
     pub(super) fn normal_equation = normal_equation_with, (
-        sights: &[Sight<'_>],
+        projections: &[PixelProjection<'_>],
         idepth: f64,
         patch: &Patch,
     ) -> Normal;
     /// One less the normalised correlation, limited.
-    fn cost_at = cost_at_with, (sight: &Sight<'_>, idepth: f64, patch: &Patch) -> f32;
+    fn cost_at = cost_at_with, (projection: &PixelProjection<'_>, idepth: f64, patch: &Patch) -> f32;
 }
 
 #[inline(always)]
 pub(super) fn normal_equation_with<L: Lanes>(
     lanes: L,
-    sights: &[Sight<'_>],
+    projections: &[PixelProjection<'_>],
     idepth: f64,
     patch: &Patch,
 ) -> Normal {
     let mut normal = Normal::default();
-    for sight in sights {
-        let Some([x, y]) = sight.center(idepth) else {
+    for projection in projections {
+        let Some([x, y]) = projection.center(idepth) else {
             continue;
         };
         // one pixel along the epipolar line
-        let motion = sight.motion(idepth);
+        let motion = projection.motion(idepth);
         let length_sq: f64 = motion[0] * motion[0] + motion[1] * motion[1];
         let length = length_sq.sqrt().max(1e-3);
         let half = [0.5 * motion[0] / length, 0.5 * motion[1] / length];
-        let before = sight.values(lanes, [x - half[0], y - half[1]]);
-        let after = sight.values(lanes, [x + half[0], y + half[1]]);
+        let before = projection.values(lanes, [x - half[0], y - half[1]]);
+        let after = projection.values(lanes, [x + half[0], y + half[1]]);
         let (mut value, mut slope) = ([0.0; SAMPLES], [0.0; SAMPLES]);
         for (i, (b, a)) in before.iter().zip(&after).enumerate() {
             value[i] = 0.5 * (b + a);
@@ -299,11 +303,16 @@ pub(super) fn normal_equation_with<L: Lanes>(
 }
 
 #[inline(always)]
-fn cost_at_with<L: Lanes>(lanes: L, sight: &Sight<'_>, idepth: f64, patch: &Patch) -> f32 {
-    let Some(at) = sight.center(idepth) else {
+fn cost_at_with<L: Lanes>(
+    lanes: L,
+    projection: &PixelProjection<'_>,
+    idepth: f64,
+    patch: &Patch,
+) -> f32 {
+    let Some(at) = projection.center(idepth) else {
         return MAX_COST;
     };
-    let mut values = sight.values(lanes, at);
+    let mut values = projection.values(lanes, at);
     center(&mut values);
     (1.0 - patch.dot(&values) / norm(&values).max(NOISE_CONTRAST)).min(MAX_COST)
 }

@@ -239,17 +239,17 @@ fn all_vectors_give_the_same_bits() {
     let image = view(&Sim3::identity(), 1.0, 0.0);
     let config = MultiViewConfig::default();
     let sources = sources(&images, &poses);
-    let projections = sight::Projected::of_sources(&image, &camera(), &sources);
-    let mut search = search::Search::new(&image, &projections, &config);
+    let sources = pixel_projection::Projected::of_sources(&image, &camera(), &sources);
+    let mut search = search::Search::new(&image, &sources, &config);
     let mut compared = 0;
     for pixel in depths(0.02, |_, _| 0.003) {
         let Some(patch) = search::Patch::around(&image, &pixel) else {
             continue;
         };
-        if search.find_sights(&pixel).is_some() {
-            let (sights, idepth) = (&search.sights, f64::from(pixel.idepth));
-            let widest = search::normal_equation(sights, idepth, &patch);
-            let plain = search::normal_equation_with(Baseline, sights, idepth, &patch);
+        if search.find_projections(&pixel).is_some() {
+            let (projections, idepth) = (&search.projections, f64::from(pixel.idepth));
+            let widest = search::normal_equation(projections, idepth, &patch);
+            let plain = search::normal_equation_with(Baseline, projections, idepth, &patch);
             assert_eq!(widest, plain);
             compared += 1;
         }
@@ -265,25 +265,31 @@ fn motion_of_the_match_is_the_derivative_by_the_logarithm() {
             image: &image,
             source_from_keyframe: pose,
         };
-        let projection = sight::Projected::new(&source, &camera());
+        let projected = pixel_projection::Projected::new(&source, &camera());
         let idepth = wall(80.0, 60.0);
         let config = MultiViewConfig {
             min_disparity_px: 0.1,
             ..MultiViewConfig::default()
         };
-        let sight = sight::Sight::new(&projection, [80.0, 60.0], idepth, [1.0, 0.0], &config);
-        let sight = sight.unwrap();
+        let projection = pixel_projection::PixelProjection::new(
+            &projected,
+            [80.0, 60.0],
+            idepth,
+            [1.0, 0.0],
+            &config,
+        );
+        let projection = projection.unwrap();
         // against the projection of the point
         let point = camera().unproject(&Vec2::new(80.0, 60.0)) / idepth;
         let expected = camera().project(&(pose * point));
-        let [x, y] = sight.center(idepth).unwrap();
+        let [x, y] = projection.center(idepth).unwrap();
         assert!((Vec2::new(x, y) - expected).norm() < 1e-9);
         let h = 1e-6;
         let (a, b) = (
-            sight.center(idepth * (1.0 - h)).unwrap(),
-            sight.center(idepth * (1.0 + h)).unwrap(),
+            projection.center(idepth * (1.0 - h)).unwrap(),
+            projection.center(idepth * (1.0 + h)).unwrap(),
         );
-        let motion = sight.motion(idepth);
+        let motion = projection.motion(idepth);
         for axis in 0..2 {
             let numeric = (b[axis] - a[axis]) / (2.0 * h);
             assert!(

@@ -1,14 +1,14 @@
 //! Finding patches again: pyramidal Lucas-Kanade tracking and search for warped patches.
 
-mod likeness;
 mod patch;
+mod photometric_cost;
 mod points;
 mod template;
 #[cfg(test)]
 mod tests;
 
-pub use likeness::{Likeness, LikenessConfig, LikenessSlope};
 pub use patch::{PatchSearchConfig, ReferencePatch, find_patch, patch_level, patch_warp};
+pub use photometric_cost::{PhotometricCost, PhotometricCostConfig, PhotometricSlope};
 pub use points::{TrackConfig, TrackOutcome, track_points};
 pub use template::PatchFit;
 

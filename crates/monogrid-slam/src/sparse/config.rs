@@ -1,6 +1,6 @@
 //! Settings of the sparse layer.
 
-use monogrid_features::LikenessConfig;
+use monogrid_features::PhotometricCostConfig;
 
 /// Settings of the sparse layer.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,17 +50,17 @@ impl Default for ImageAdjustmentConfig {
             enabled: true,
             min_keyframes: 20,
             min_correlation: 0.8,
-            independent_pixels: LikenessConfig::default().independent_pixels,
+            independent_pixels: PhotometricCostConfig::default().independent_pixels,
         }
     }
 }
 
 impl ImageAdjustmentConfig {
     /// What differences between patch and image cost.
-    pub(super) fn likeness(&self) -> LikenessConfig {
-        LikenessConfig {
+    pub(super) fn photometric_cost(&self) -> PhotometricCostConfig {
+        PhotometricCostConfig {
             independent_pixels: self.independent_pixels,
-            ..LikenessConfig::default()
+            ..PhotometricCostConfig::default()
         }
     }
 }

@@ -3,7 +3,7 @@
 use super::ImageAdjustmentConfig;
 use crate::KeyframeId;
 use crate::map::Map;
-use monogrid_features::{Likeness, LikenessConfig, patch_warp};
+use monogrid_features::{PhotometricCost, PhotometricCostConfig, patch_warp};
 use monogrid_geometry::Vec2;
 use monogrid_graph::bundle::{Appearance, BundleProblem, Observation, PixelSlope};
 use monogrid_image::Image;
@@ -17,13 +17,13 @@ const SIDE: usize = 16;
 pub(super) struct Looks {
     /// By observation; none where the keyframe does not show what the anchor shows.
     looks: Vec<Option<Look>>,
-    config: LikenessConfig,
+    config: PhotometricCostConfig,
 }
 
 /// A point in a keyframe.
 #[derive(Debug)]
 struct Look {
-    likeness: Likeness,
+    photometric: PhotometricCost,
     /// The keyframe's image around the point; all images at once would not fit.
     piece: Image<u8>,
     /// The pixel of the image that is the first of the piece.
@@ -40,7 +40,7 @@ impl Looks {
         config: &ImageAdjustmentConfig,
     ) -> Self {
         let observations = &problem.observations;
-        let mut likenesses: Vec<Option<Likeness>> = vec![None; observations.len()];
+        let mut costs: Vec<Option<PhotometricCost>> = vec![None; observations.len()];
         let host = |o: &Observation| problem.points[o.point].host;
         for (host, seen) in by_keyframe(observations, host) {
             let Some(pyramid) = map[keyframes[host]].pyramid() else {
@@ -54,7 +54,7 @@ impl Looks {
                 let (pixel, idepth) = (&anchor.pixel, anchor.inverse_depth);
                 let warp = patch_warp(&problem.pinhole, pixel, idepth, &observer_from_host);
                 let pixel_in_image = &map.points()[points[point]].pixel;
-                likenesses[i] = warp.and_then(|w| Likeness::new(&pyramid, pixel_in_image, &w));
+                costs[i] = warp.and_then(|w| PhotometricCost::new(&pyramid, pixel_in_image, &w));
             }
         }
         let mut looks: Vec<Option<Look>> = observations.iter().map(|_| None).collect();
@@ -63,15 +63,15 @@ impl Looks {
                 continue;
             };
             for i in seen {
-                let (likeness, place) = (likenesses[i].take(), projected(problem, i));
-                looks[i] = likeness
+                let (photometric, place) = (costs[i].take(), projected(problem, i));
+                looks[i] = photometric
                     .zip(place)
-                    .and_then(|(likeness, place)| Look::new(likeness, &image, place, config));
+                    .and_then(|(photometric, place)| Look::new(photometric, &image, place, config));
             }
         }
         Self {
             looks,
-            config: config.likeness(),
+            config: config.photometric_cost(),
         }
     }
 }
@@ -80,7 +80,7 @@ impl Look {
     /// A patch in an image, where a point is projected to; `None` where the image shows something
     /// else.
     fn new(
-        likeness: Likeness,
+        photometric: PhotometricCost,
         image: &Image<u8>,
         place: Vec2,
         config: &ImageAdjustmentConfig,
@@ -94,9 +94,9 @@ impl Look {
         }
         let (left, top) = (corner.x as usize, corner.y as usize);
         let piece = Image::from_fn(SIDE, SIDE, |x, y| image.at(left + x, top + y));
-        let correlation = likeness.correlation(&piece, &(place - corner))?;
+        let correlation = photometric.correlation(&piece, &(place - corner))?;
         (correlation >= config.min_correlation).then_some(Self {
-            likeness,
+            photometric,
             piece,
             corner,
         })
@@ -109,7 +109,7 @@ impl Appearance for Looks {
             return 0.0;
         };
         let pixel = pixel - look.corner;
-        let cost = look.likeness.cost(&look.piece, &pixel, &self.config);
+        let cost = look.photometric.cost(&look.piece, &pixel, &self.config);
         // nothing is gained by leaving the piece
         cost.unwrap_or_else(|| self.config.largest_cost())
     }
@@ -117,7 +117,7 @@ impl Appearance for Looks {
     fn slope(&self, observation: usize, pixel: &Vec2) -> Option<PixelSlope> {
         let look = self.looks[observation].as_ref()?;
         let pixel = pixel - look.corner;
-        let slope = look.likeness.slope(&look.piece, &pixel, &self.config)?;
+        let slope = look.photometric.slope(&look.piece, &pixel, &self.config)?;
         Some(PixelSlope {
             gradient: slope.gradient,
             information: slope.information,

@@ -16,17 +16,16 @@
 //! of a run needs a few of them at a time.
 
 mod config;
+mod lru_cache;
 mod packed;
 mod scratch;
-mod shelves;
 #[cfg(test)]
 mod tests;
 
+use self::lru_cache::LruCache;
+pub use self::lru_cache::{SpillError, StoreBytes};
 use self::packed::pack_any;
 pub use self::packed::{Keepable, Measured, PackedPixel, pack_pixels, unpack_pixels};
-use self::shelves::Shelves;
-pub use self::shelves::SpillError;
-pub use self::shelves::StoreBytes;
 pub use config::MemoryConfig;
 use std::any::Any;
 use std::fs::File;
@@ -34,7 +33,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Values that are kept, shared by all that use them.
 #[derive(Clone, Debug, Default)]
-pub struct Store(Arc<Mutex<Shelves>>);
+pub struct Store(Arc<Mutex<LruCache>>);
 
 /// A value that is kept as long as somebody holds this.
 #[derive(Debug)]
@@ -64,18 +63,18 @@ impl Store {
 
     /// Has as much room as these settings say from now on.
     pub fn resize(&self, config: &MemoryConfig) {
-        self.shelves().resize(config);
+        self.cache().resize(config);
     }
 
     /// Lets values of their own leave memory for a file, which is overwritten.
     pub fn spill_into(&self, file: File) {
-        self.shelves().spill_into(file);
+        self.cache().spill_into(file);
     }
 
     /// Keeps a value.
     pub fn keep<T: Keepable>(&self, value: T) -> Kept<T> {
         let bytes = value.bytes();
-        let number = self.shelves().keep(Arc::new(value), bytes, pack_any::<T>);
+        let number = self.cache().keep(Arc::new(value), bytes, pack_any::<T>);
         self.kept(number, Origin::Own(T::unpack))
     }
 
@@ -84,18 +83,18 @@ impl Store {
         &self,
         make: impl Fn() -> Option<T> + Send + Sync + 'static,
     ) -> Kept<T> {
-        let number = self.shelves().promise();
+        let number = self.cache().promise();
         self.kept(number, Origin::Derived(Box::new(make)))
     }
 
     /// Bytes of its values.
     pub fn bytes(&self) -> StoreBytes {
-        self.shelves().bytes()
+        self.cache().bytes()
     }
 
     /// What went wrong with the file first, if anything did.
     pub fn failure(&self) -> Option<String> {
-        self.shelves().failure.clone()
+        self.cache().failure.clone()
     }
 
     /// Whether all that was asked for came back.
@@ -103,7 +102,7 @@ impl Store {
     /// # Errors
     /// A value could not be read back, and what was made without it is wrong.
     pub fn check(&self) -> Result<(), SpillError> {
-        self.shelves().lost.clone().map_or(Ok(()), Err)
+        self.cache().lost.clone().map_or(Ok(()), Err)
     }
 
     fn kept<T>(&self, number: u64, origin: Origin<T>) -> Kept<T> {
@@ -115,8 +114,8 @@ impl Store {
         }))
     }
 
-    fn shelves(&self) -> MutexGuard<'_, Shelves> {
-        // whoever failed has left the shelves as they were: they change in single steps
+    fn cache(&self) -> MutexGuard<'_, LruCache> {
+        // whoever failed has left the cache as it was: it changes in single steps
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -139,30 +138,30 @@ impl<T: Measured> Kept<T> {
     /// store remembers that ([`Store::failure`]).
     pub fn get(&self) -> Option<Arc<T>> {
         let ticket = &*self.0;
-        let found = ticket.store.shelves().find(ticket.number);
+        let found = ticket.store.cache().find(ticket.number);
         if let Some(value) = found {
             return value.downcast().ok();
         }
         let value = match &ticket.origin {
             Origin::Own(unpack) => {
-                let packed = ticket.store.shelves().read(ticket.number)?;
+                let packed = ticket.store.cache().read(ticket.number)?;
                 unpack(&packed)?
             }
             Origin::Derived(make) => make()?,
         };
         let (bytes, value) = (value.bytes(), Arc::new(value));
-        let shelved: Arc<dyn Any + Send + Sync> = Arc::clone(&value) as _;
+        let shared: Arc<dyn Any + Send + Sync> = Arc::clone(&value) as _;
         // it has left memory, of which it is a part again
-        let mut shelves = ticket.store.shelves();
-        shelves.put_back(ticket.number, shelved, bytes);
+        let mut cache = ticket.store.cache();
+        cache.put_back(ticket.number, shared, bytes);
         Some(value)
     }
 }
 
 impl<T> Drop for Ticket<T> {
     fn drop(&mut self) {
-        // values may hold others: they are dropped when the shelves are free again
-        let value = self.store.shelves().forget(self.number);
+        // values may hold others: they are dropped when the cache is free again
+        let value = self.store.cache().forget(self.number);
         drop(value);
     }
 }

@@ -35,7 +35,7 @@ fn what_was_not_used_for_longest_leaves_and_comes_back_the_same() {
     kept[0].get().unwrap();
     let more = store.keep(pixels(3));
     // the second was not used since
-    let is_here = |number: u64| store.shelves().is_here(number);
+    let is_here = |number: u64| store.cache().is_here(number);
     assert_eq!([0, 1, 2, 3].map(is_here), [true, false, true, true]);
     let StoreBytes { own, file, .. } = store.bytes();
     assert!(own == 3 * 1200 && file > 0);
@@ -77,7 +77,7 @@ fn a_value_in_use_is_not_read_again() {
     let kept = store.keep(pixels(0));
     let used = kept.get().unwrap();
     let _other = store.keep(pixels(1));
-    assert!(!store.shelves().is_here(0));
+    assert!(!store.cache().is_here(0));
     assert!(Arc::ptr_eq(&used, &kept.get().unwrap()));
 }
 

@@ -129,8 +129,8 @@ mod tests {
     fn the_last_doubt_says_why() {
         let mut frames = vec![(4.0, 0.001); 130];
         frames.extend([(6.1, 0.001), (4.0, 0.0031), (4.0, 0.001)]);
-        let doubts = [LostReason::Doubtful, LostReason::Loose, LostReason::Loose];
-        assert_eq!(judged(frames)[130..], doubts.map(Some));
+        let reasons = [LostReason::Doubtful, LostReason::Loose, LostReason::Loose];
+        assert_eq!(judged(frames)[130..], reasons.map(Some));
     }
 
     #[test]

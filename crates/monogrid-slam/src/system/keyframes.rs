@@ -143,7 +143,7 @@ pub(super) fn finish_keyframe(
         image: keyframe.image.clone(),
         samples: store.keep(tracking_samples(depth, &config.tracking)),
         exposure: keyframe.exposure,
-        is_settled: keyframe.rank as usize >= config.keyframes.ramp_keyframes,
+        has_converged: keyframe.rank as usize >= config.keyframes.ramp_keyframes,
     };
     FinishedKeyframe {
         id: keyframe.id,

@@ -197,7 +197,7 @@ fn restored_keyframe(
             image: image.clone(),
             samples: store.keep(tracking_samples(&depth, &setup.config.tracking)),
             exposure,
-            is_settled: true,
+            has_converged: true,
         })),
         image,
         published: Some(published),

@@ -28,8 +28,8 @@ const MAX_SIGHTINGS: usize = 64;
 impl KeyframeGraph {
     /// Whether a keyframe may say where its fragment is in that of another.
     pub(super) fn may_join(&self, own: KeyframeId, other: KeyframeId) -> bool {
-        let is_settled = |id| self.entries.get(&id).is_some_and(|e| e.view.is_settled);
-        is_settled(own) && is_settled(other)
+        let has_converged = |id| self.entries.get(&id).is_some_and(|e| e.view.has_converged);
+        has_converged(own) && has_converged(other)
     }
 
     /// Remembers that a keyframe was recognised in another fragment: by points, and by direct

@@ -57,7 +57,7 @@ pub(super) fn keyframes(
             image: KeyframeImage::new(&store, image),
             samples: store.keep(samples),
             exposure: Exposure::NEUTRAL,
-            is_settled: true,
+            has_converged: true,
         }));
     }
     // relative to the first, which holds the world

@@ -364,11 +364,11 @@ fn keyframes_see_points_once() {
 fn points_settle_the_units_of_the_newest_keyframes_of_a_fragment_and_of_no_others() {
     let map = map_with(&[0, 0, 1, 0, 0]);
     let pinhole = Pinhole::new(30.0, 30.0, 16.0, 16.0);
-    let settled = |fragment, newest| -> Vec<KeyframeId> {
+    let placed = |fragment, newest| -> Vec<KeyframeId> {
         let poses = world_from_keyframes(&map, fragment, newest, &pinhole);
         poses.into_iter().map(|(id, _)| id).collect()
     };
-    assert_eq!(settled(0, 3), [1, 3, 4]);
-    assert_eq!(settled(0, 10), [0, 1, 3, 4]);
-    assert_eq!(settled(1, 3), [2]);
+    assert_eq!(placed(0, 3), [1, 3, 4]);
+    assert_eq!(placed(0, 10), [0, 1, 3, 4]);
+    assert_eq!(placed(1, 3), [2]);
 }

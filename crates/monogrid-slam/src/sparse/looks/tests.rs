@@ -13,9 +13,9 @@ fn image(phase: f64) -> GrayImage {
     })
 }
 
-fn likeness(at: Vec2) -> Likeness {
+fn photometric_cost(at: Vec2) -> PhotometricCost {
     let reference = Pyramid::new(image(0.0), 1);
-    Likeness::new(&reference, &at, &Matrix2::identity()).unwrap()
+    PhotometricCost::new(&reference, &at, &Matrix2::identity()).unwrap()
 }
 
 #[test]
@@ -23,14 +23,14 @@ fn a_point_is_compared_where_it_is_projected_to() {
     let seen = Vec2::new(31.3, 27.8);
     let config = ImageAdjustmentConfig::default();
     let whole = image(0.0).map(|v| v as u8);
-    let look = Look::new(likeness(seen), &whole, seen, &config).unwrap();
+    let look = Look::new(photometric_cost(seen), &whole, seen, &config).unwrap();
     let looks = Looks {
         looks: vec![Some(look), None],
-        config: config.likeness(),
+        config: config.photometric_cost(),
     };
     for offset in [[0.0, 0.0], [0.7, -0.4], [-2.3, 2.4]] {
         let offset = Vec2::from(offset);
-        let expected = likeness(seen);
+        let expected = photometric_cost(seen);
         let cost = expected.cost(&whole, &(seen + offset), &looks.config);
         let found = looks.cost(0, &(seen + offset));
         assert!((found - cost.unwrap()).abs() < 1e-4, "{found} {cost:?}");
@@ -58,7 +58,13 @@ fn what_looks_different_or_lies_at_the_border_is_not_compared() {
     let same = image(0.0).map(|v| v as u8);
     let other = image(1.4).map(|v| v as u8);
     let is_compared = |image: &Image<u8>, seen: Vec2| {
-        Look::new(likeness(Vec2::new(31.3, 27.8)), image, seen, &config).is_some()
+        Look::new(
+            photometric_cost(Vec2::new(31.3, 27.8)),
+            image,
+            seen,
+            &config,
+        )
+        .is_some()
     };
     assert!(is_compared(&same, seen));
     assert!(!is_compared(&other, seen));
@@ -70,7 +76,7 @@ fn what_looks_different_or_lies_at_the_border_is_not_compared() {
         min_correlation: -1.0,
         ..config
     };
-    let look = Look::new(likeness(seen), &other, seen, &anything);
+    let look = Look::new(photometric_cost(seen), &other, seen, &anything);
     assert!(look.is_some());
 }
 

@@ -16,14 +16,14 @@ fn image(shift: Vec2, gain: f32, bias: f32) -> GrayImage {
     moved.map(|v| gain * v + bias)
 }
 
-fn likeness() -> Likeness {
+fn photometric_cost() -> PhotometricCost {
     let reference = Pyramid::new(image(Vec2::zeros(), 1.0, 0.0), 2);
-    Likeness::new(&reference, &ANCHOR, &Matrix2::identity()).unwrap()
+    PhotometricCost::new(&reference, &ANCHOR, &Matrix2::identity()).unwrap()
 }
 
 /// The cost itself, written out: least squares for gain and bias by their normal equations, the
 /// kernel by its cases.
-fn plain_cost(image: &GrayImage, pixel: &Vec2, config: &LikenessConfig) -> f64 {
+fn plain_cost(image: &GrayImage, pixel: &Vec2, config: &PhotometricCostConfig) -> f64 {
     let patch = |image: &GrayImage, at: &Vec2| -> Vec<f64> {
         let offset = |k: usize| Vec2::new((k % SIDE) as f64 - 3.5, (k / SIDE) as f64 - 3.5);
         (0..SIDE * SIDE)
@@ -75,9 +75,9 @@ fn cases() -> Vec<(GrayImage, Vec2)> {
 
 #[test]
 fn the_cost_is_that_of_gain_bias_and_noise_at_their_best() {
-    let config = LikenessConfig::default();
+    let config = PhotometricCostConfig::default();
     for (image, pixel) in cases() {
-        let cost = likeness().cost(&image, &pixel, &config).unwrap();
+        let cost = photometric_cost().cost(&image, &pixel, &config).unwrap();
         let expected = plain_cost(&image, &pixel, &config);
         assert!(
             (cost - expected).abs() < 2e-3 * (1.0 + expected),
@@ -94,8 +94,8 @@ fn the_gradient_is_that_of_the_cost() {
     let smooth = |x: f64, y: f64| 100.0 + 3.0 * x - 2.0 * y + 0.09 * (x - 15.0) * (y - 11.0);
     let current = GrayImage::from_fn(SIZE, SIZE, |x, y| smooth(x as f64, y as f64) as f32);
     for config in [
-        LikenessConfig::default(),
-        LikenessConfig {
+        PhotometricCostConfig::default(),
+        PhotometricCostConfig {
             noise: 3.0,
             kernel: 100.0,
             independent_pixels: 40.0,
@@ -103,9 +103,13 @@ fn the_gradient_is_that_of_the_cost() {
     ] {
         for offset in [[0.2, 0.4], [3.3, -2.6], [-4.7, 1.1]] {
             let pixel = ANCHOR + Vec2::from(offset);
-            let slope = likeness().slope(&current, &pixel, &config).unwrap();
+            let slope = photometric_cost().slope(&current, &pixel, &config).unwrap();
             let step = 0.02;
-            let cost = |d: Vec2| likeness().cost(&current, &(pixel + d), &config).unwrap();
+            let cost = |d: Vec2| {
+                photometric_cost()
+                    .cost(&current, &(pixel + d), &config)
+                    .unwrap()
+            };
             let numeric = Vec2::new(
                 (cost(Vec2::new(step, 0.0)) - cost(Vec2::new(-step, 0.0))) / (2.0 * step),
                 (cost(Vec2::new(0.0, step)) - cost(Vec2::new(0.0, -step))) / (2.0 * step),
@@ -122,14 +126,14 @@ fn the_gradient_is_that_of_the_cost() {
 
 #[test]
 fn steps_of_gauss_and_newton_find_the_place_whatever_the_brightness() {
-    let config = LikenessConfig::default();
+    let config = PhotometricCostConfig::default();
     let shift = Vec2::new(-0.7, 1.4);
     for (gain, bias) in [(1.0, 0.0), (0.6, 50.0), (1.5, -60.0)] {
         let mut current = image(shift, gain, bias);
         add_noise(&mut current, 0.5, 3);
         let mut pixel = ANCHOR + shift + Vec2::new(0.6, -0.5);
         for _ in 0..10 {
-            let slope = likeness().slope(&current, &pixel, &config).unwrap();
+            let slope = photometric_cost().slope(&current, &pixel, &config).unwrap();
             pixel -= slope.information.try_inverse().unwrap() * slope.gradient;
         }
         let error = (pixel - ANCHOR - shift).norm();
@@ -139,21 +143,21 @@ fn steps_of_gauss_and_newton_find_the_place_whatever_the_brightness() {
 
 #[test]
 fn pixels_that_show_something_else_move_a_patch_little() {
-    let (shift, config) = (Vec2::new(0.3, 0.2), LikenessConfig::default());
+    let (shift, config) = (Vec2::new(0.3, 0.2), PhotometricCostConfig::default());
     let mut current = image(shift, 1.0, 0.0);
     for (x, y) in [(22, 17), (18, 21), (23, 18)] {
         current.set(x, y, current.at(x, y) - 40.0);
     }
-    let found = |config: &LikenessConfig| {
+    let found = |config: &PhotometricCostConfig| {
         let mut pixel = ANCHOR + shift;
         for _ in 0..20 {
-            let slope = likeness().slope(&current, &pixel, config).unwrap();
+            let slope = photometric_cost().slope(&current, &pixel, config).unwrap();
             let step = slope.information.try_inverse().unwrap() * slope.gradient;
             pixel -= step * (0.3 / step.norm().max(0.3));
         }
         (pixel - ANCHOR - shift).norm()
     };
-    let quadratic = found(&LikenessConfig {
+    let quadratic = found(&PhotometricCostConfig {
         kernel: 255.0,
         ..config
     });
@@ -166,22 +170,24 @@ fn pixels_that_show_something_else_move_a_patch_little() {
 
 #[test]
 fn a_plain_wall_is_not_like_a_patch() {
-    let config = LikenessConfig::default();
+    let config = PhotometricCostConfig::default();
     let wall = GrayImage::filled(SIZE, SIZE, 128.0);
-    let at_home = likeness()
+    let at_home = photometric_cost()
         .cost(&image(Vec2::zeros(), 1.0, 0.0), &ANCHOR, &config)
         .unwrap();
-    let at_wall = likeness().cost(&wall, &ANCHOR, &config).unwrap();
+    let at_wall = photometric_cost().cost(&wall, &ANCHOR, &config).unwrap();
     assert!(at_wall > at_home + 5.0, "{at_wall} {at_home}");
 }
 
 #[test]
 fn a_patch_that_fits_worse_says_less() {
-    let config = LikenessConfig::default();
+    let config = PhotometricCostConfig::default();
     let information = |noise: f64| {
         let mut current = image(Vec2::zeros(), 1.0, 0.0);
         add_noise(&mut current, noise, 9);
-        let slope = likeness().slope(&current, &ANCHOR, &config).unwrap();
+        let slope = photometric_cost()
+            .slope(&current, &ANCHOR, &config)
+            .unwrap();
         slope.information.trace()
     };
     assert!(information(1.0) > 3.0 * information(2.5));
@@ -189,22 +195,22 @@ fn a_patch_that_fits_worse_says_less() {
 
 #[test]
 fn bytes_are_as_good_as_floats_and_nothing_is_said_at_the_border() {
-    let config = LikenessConfig::default();
+    let config = PhotometricCostConfig::default();
     let current = image(Vec2::new(0.2, 0.1), 1.0, 0.0).map(f32::round);
     let bytes = current.map(|v| v as u8);
     let pixel = ANCHOR + Vec2::new(0.3, 0.3);
     assert_eq!(
-        likeness().cost(&current, &pixel, &config),
-        likeness().cost(&bytes, &pixel, &config)
+        photometric_cost().cost(&current, &pixel, &config),
+        photometric_cost().cost(&bytes, &pixel, &config)
     );
     assert_eq!(
-        likeness().slope(&current, &pixel, &config),
-        likeness().slope(&bytes, &pixel, &config)
+        photometric_cost().slope(&current, &pixel, &config),
+        photometric_cost().slope(&bytes, &pixel, &config)
     );
     let outside = Vec2::new(2.0, 20.0);
-    assert_eq!(likeness().cost(&current, &outside, &config), None);
-    assert_eq!(likeness().slope(&current, &outside, &config), None);
-    assert_eq!(likeness().correlation(&current, &outside), None);
+    assert_eq!(photometric_cost().cost(&current, &outside, &config), None);
+    assert_eq!(photometric_cost().slope(&current, &outside, &config), None);
+    assert_eq!(photometric_cost().correlation(&current, &outside), None);
     let flat = Pyramid::new(GrayImage::filled(SIZE, SIZE, 7.0), 1);
-    assert!(Likeness::new(&flat, &ANCHOR, &Matrix2::identity()).is_none());
+    assert!(PhotometricCost::new(&flat, &ANCHOR, &Matrix2::identity()).is_none());
 }

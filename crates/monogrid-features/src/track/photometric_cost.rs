@@ -28,7 +28,7 @@ const MIN_GAIN: f32 = 0.3;
 
 /// What a difference between patch and image costs.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LikenessConfig {
+pub struct PhotometricCostConfig {
     /// Noise of every image, grey levels. Default 0.5.
     pub noise: f32,
     /// Difference of a pixel from which on it grows no more than in proportion (Huber), grey
@@ -39,7 +39,7 @@ pub struct LikenessConfig {
     pub independent_pixels: f32,
 }
 
-impl Default for LikenessConfig {
+impl Default for PhotometricCostConfig {
     fn default() -> Self {
         Self {
             noise: 0.5,
@@ -49,7 +49,7 @@ impl Default for LikenessConfig {
     }
 }
 
-impl LikenessConfig {
+impl PhotometricCostConfig {
     /// What costs at least as much as anything that an image can show.
     #[must_use]
     pub fn largest_cost(&self) -> f64 {
@@ -65,7 +65,7 @@ impl LikenessConfig {
 
 /// A patch that images are compared with.
 #[derive(Clone, Debug)]
-pub struct Likeness {
+pub struct PhotometricCost {
     /// Grey values without their mean, of length one.
     values: Values,
     /// Their length before.
@@ -74,7 +74,7 @@ pub struct Likeness {
 
 /// Derivatives of the cost by the pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LikenessSlope {
+pub struct PhotometricSlope {
     /// First.
     pub gradient: Vec2,
     /// Second, as Gauss and Newton have it.
@@ -88,7 +88,7 @@ struct Rest {
     has_free_gain: bool,
 }
 
-impl Likeness {
+impl PhotometricCost {
     /// The patch around a pixel (level-0 px of `reference`) as an image sees it that is mapped
     /// there by `reference_from_current` ([`super::patch_warp`]); `None` at the border, and without
     /// contrast.
@@ -123,7 +123,7 @@ impl Likeness {
         &self,
         image: &Image<P>,
         pixel: &Vec2,
-        config: &LikenessConfig,
+        config: &PhotometricCostConfig,
     ) -> Option<f64> {
         let seen = sample::<SIDE, _>(image, to_f32(pixel))?;
         let rest = self.rest(seen);
@@ -136,8 +136,8 @@ impl Likeness {
         &self,
         image: &Image<P>,
         pixel: &Vec2,
-        config: &LikenessConfig,
-    ) -> Option<LikenessSlope> {
+        config: &PhotometricCostConfig,
+    ) -> Option<PhotometricSlope> {
         let wide = sample::<WIDE, _>(image, to_f32(pixel))?;
         let (seen, mut gx, mut gy) = with_gradients(&wide);
         let rest = self.rest(seen);
@@ -159,7 +159,7 @@ impl Likeness {
         let [wx, wy] = &weighted;
         let sum = |a: &Values, b: &Values| scale * f64::from(dot(a, b));
         let across = sum(wx, &gy);
-        Some(LikenessSlope {
+        Some(PhotometricSlope {
             gradient: Vec2::new(sum(wx, &rest.values), sum(wy, &rest.values)),
             information: Matrix2::new(sum(wx, &gx), across, across, sum(wy, &gy)),
         })
@@ -196,7 +196,7 @@ fn subtract(from: &mut Values, values: &Values, times: f32) {
 }
 
 /// Mean of the kernel over the differences, (grey levels)^2.
-fn mean_error(rest: &Values, config: &LikenessConfig) -> f32 {
+fn mean_error(rest: &Values, config: &PhotometricCostConfig) -> f32 {
     let mut sums = [0.0f32; SIDE];
     for row in rest {
         for (sum, r) in sums.iter_mut().zip(row) {

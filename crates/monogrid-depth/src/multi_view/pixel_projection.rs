@@ -62,7 +62,7 @@ impl<'a> Projected<'a> {
 
 /// A source as one pixel sees it.
 #[derive(Debug)]
-pub(super) struct Sight<'a> {
+pub(super) struct PixelProjection<'a> {
     image: &'a Image<u8>,
     /// K t / s.
     translation: Vec3,
@@ -76,7 +76,7 @@ pub(super) struct Sight<'a> {
     pub disparity: f64,
 }
 
-impl<'a> Sight<'a> {
+impl<'a> PixelProjection<'a> {
     /// `None` where the source does not see the pixel, from too far or near, or without disparity.
     /// `direction` is the unit gradient.
     pub fn new(
@@ -125,7 +125,7 @@ impl<'a> Sight<'a> {
         })
     }
 
-    /// Makes the patch ready for [`Sight::values`].
+    /// Makes the patch ready for [`PixelProjection::values`].
     pub fn lay_out_patch(&mut self) {
         let [ex, ey] = self.axes;
         for (offsets, pattern) in self.offsets.iter_mut().zip(PATTERN.chunks(GROUP)) {
@@ -152,7 +152,7 @@ impl<'a> Sight<'a> {
         is_inside(at, self.image)
     }
 
-    /// Motion of [`Sight::center`] per unit of ln(rho), px.
+    /// Motion of [`PixelProjection::center`] per unit of ln(rho), px.
     #[inline]
     pub fn motion(&self, idepth: f64) -> [f64; 2] {
         let shift = self.translation * idepth;
@@ -161,7 +161,7 @@ impl<'a> Sight<'a> {
         [(shift.x - x * shift.z) / p.z, (shift.y - y * shift.z) / p.z]
     }
 
-    /// Grey values of the patch around a point that [`Sight::shows`], or within a pixel of one.
+    /// Grey values of the patch around a point that [`PixelProjection::shows`], or within a pixel of one.
     #[inline(always)]
     pub fn values<L: Lanes>(&self, lanes: L, [x, y]: [f64; 2]) -> [f32; SAMPLES] {
         let (x, y) = (x as f32, y as f32);

@@ -54,7 +54,7 @@ struct Entry {
 
 /// Values in memory of one kind, by their last use.
 #[derive(Debug, Default)]
-struct Shelf {
+struct ByUse {
     by_use: BTreeMap<u64, u64>,
     bytes: usize,
     /// Bytes from which values leave.
@@ -63,10 +63,10 @@ struct Shelf {
 
 /// All values, by their numbers.
 #[derive(Debug, Default)]
-pub(super) struct Shelves {
+pub(super) struct LruCache {
     entries: BTreeMap<u64, Entry>,
-    own: Shelf,
-    derived: Shelf,
+    own: ByUse,
+    derived: ByUse,
     num_made: u64,
     num_uses: u64,
     scratch: Option<Scratch>,
@@ -78,7 +78,7 @@ pub(super) struct Shelves {
 
 const MEGABYTE: f64 = 1e6;
 
-impl Shelves {
+impl LruCache {
     pub(super) fn resize(&mut self, config: &MemoryConfig) {
         self.own.limit = (config.keyframes_mb * MEGABYTE) as usize;
         self.derived.limit = (config.prepared_mb * MEGABYTE) as usize;
@@ -141,12 +141,12 @@ impl Shelves {
         self.num_uses += 1;
         entry.seen = Arc::downgrade(&value);
         (entry.value, entry.bytes, entry.used) = (Some(value), bytes, self.num_uses);
-        let shelf = match entry.kind {
+        let same_kind = match entry.kind {
             Kind::Own(..) => &mut self.own,
             Kind::Derived => &mut self.derived,
         };
-        shelf.by_use.insert(self.num_uses, number);
-        shelf.bytes += bytes;
+        same_kind.by_use.insert(self.num_uses, number);
+        same_kind.bytes += bytes;
         self.make_room();
     }
 
@@ -154,12 +154,12 @@ impl Shelves {
     fn take_out(&mut self, number: u64) -> Option<Value> {
         let entry = self.entries.get_mut(&number)?;
         let value = entry.value.take()?;
-        let shelf = match entry.kind {
+        let same_kind = match entry.kind {
             Kind::Own(..) => &mut self.own,
             Kind::Derived => &mut self.derived,
         };
-        shelf.by_use.remove(&entry.used);
-        shelf.bytes -= entry.bytes;
+        same_kind.by_use.remove(&entry.used);
+        same_kind.bytes -= entry.bytes;
         Some(value)
     }
 
@@ -220,7 +220,7 @@ impl Shelves {
         }
     }
 
-    /// Forgets a value; what is left of it is to be dropped without the shelves.
+    /// Forgets a value; what is left of it is to be dropped without the cache.
     pub(super) fn forget(&mut self, number: u64) -> Option<Value> {
         let value = self.take_out(number);
         let entry = self.entries.remove(&number);
@@ -238,7 +238,7 @@ impl Shelves {
     }
 }
 
-impl Shelf {
+impl ByUse {
     /// The value used least recently, if there are others and all together are too many.
     fn oldest_too_many(&self) -> Option<u64> {
         let is_full = self.bytes > self.limit && self.by_use.len() > 1;
@@ -248,7 +248,7 @@ impl Shelf {
 }
 
 #[cfg(test)]
-impl Shelves {
+impl LruCache {
     /// Whether a value is in memory because of us.
     pub(super) fn is_here(&self, number: u64) -> bool {
         let entry = self.entries.get(&number);
