@@ -78,11 +78,13 @@ pub struct Linearization {
     pub good_residual_sq: f64,
     /// Sum of `(nu + 1) r_n^2 / (nu + (r_n / scale)^2)`, for the next estimate of the scale.
     pub scale_sum: f64,
-    /// Sums over visible points of `[I_keyframe, I_frame, I_keyframe^2, I_frame^2, I_keyframe I_frame]`.
+    /// Sums over visible points of
+    /// `[I_keyframe, I_frame, I_keyframe^2, I_frame^2, I_keyframe I_frame]`.
     pub moments: [f64; 5],
 }
 
-/// Residuals of [`LANES`] points with their weights and derivatives; those that are not visible have no weight.
+/// Residuals of [`LANES`] points with their weights and derivatives; those that are not visible
+/// have no weight.
 struct Points<V> {
     residual: V,
     weight: V,
@@ -141,7 +143,8 @@ pub fn linearize(
     out
 }
 
-/// Sums of a block of points; of the equations by lane, so that the order of the sums is the same on every machine.
+/// Sums of a block of points; of the equations by lane, so that the order of the sums is the same
+/// on every machine.
 struct Block {
     triangle: [Eight; TRIANGLE],
     gradient: [Eight; UNKNOWNS],
@@ -233,8 +236,8 @@ impl Linearization {
         Some(0.5 * (frame_var / keyframe_var).ln())
     }
 
-    /// Correlation of the grey values of keyframe and frame over the visible points, in [-1, 1]; `None`
-    /// with too few points or an image without contrast there.
+    /// Correlation of the grey values of keyframe and frame over the visible points, in [-1, 1];
+    /// `None` with too few points or an image without contrast there.
     #[must_use]
     pub fn correlation(&self) -> Option<f64> {
         let (keyframe_var, frame_var, covariance) = self.second_moments()?;
@@ -278,9 +281,10 @@ fn accumulate<V: F32x8>(
     }
 }
 
-/// Derivative of `I_frame - gain * I_keyframe - bias` by the left twist of the pose, the logarithm of the
-/// gain, and the bias; at the normalised image position `[x, y]` with the gradient `[gx, gy]` there, for a
-/// point at the inverse depth `inv_z` in the frame. Of one point, or of several side by side; `one` is 1.
+/// Derivative of `I_frame - gain * I_keyframe - bias` by the left twist of the pose, the logarithm
+/// of the gain, and the bias; at the normalised image position `[x, y]` with the gradient
+/// `[gx, gy]` there, for a point at the inverse depth `inv_z` in the frame. Of one point, or of
+/// several side by side; `one` is 1.
 #[inline(always)]
 pub(crate) fn residual_row<T>(
     [x, y]: [T; 2],
@@ -324,7 +328,8 @@ impl Projection {
         }
     }
 
-    /// Residual, weight and Jacobian of up to [`LANES`] points: from the first one on, every `stride`-th.
+    /// Residual, weight and Jacobian of up to [`LANES`] points: from the first one on, every
+    /// `stride`-th.
     ///
     /// `[ECCV14]` equations 11 to 14; with the direction `m` (z = 1) and inverse depth `d` of a
     /// point, `q = R m + t d` is its position in the frame times `d`.
@@ -395,8 +400,8 @@ pub(crate) fn position_times_idepth<V: F32x8>(
     ]
 }
 
-/// Derivative of grey values by the inverse depth, at normalised image positions with those gradients, of points whose depth in the frame
-/// times inverse depth is `1 / inv_qz`.
+/// Derivative of grey values by the inverse depth, at normalised image positions with those
+/// gradients, of points whose depth in the frame times inverse depth is `1 / inv_qz`.
 #[inline(always)]
 pub(crate) fn by_idepth<L: Lanes>(
     lanes: L,
@@ -408,7 +413,8 @@ pub(crate) fn by_idepth<L: Lanes>(
     (gx * (lanes.splat(t[0]) - x * t[2]) + gy * (lanes.splat(t[1]) - y * t[2])) * inv_qz
 }
 
-/// Values of [`LANES`] points from the first one on, every `stride`-th; where there are no more, no numbers, so that they are nowhere.
+/// Values of [`LANES`] points from the first one on, every `stride`-th; where there are no more, no
+/// numbers, so that they are nowhere.
 #[inline(always)]
 pub(crate) fn taken<L: Lanes>(lanes: L, values: &[f32], (first, stride): (usize, usize)) -> L::F32 {
     let values = &values[first..];
@@ -439,8 +445,8 @@ impl Sums {
 }
 
 impl Weighting {
-    /// Weights for squared normalised residuals, and their costs: a summand (Huber) or a factor under the
-    /// logarithm (Student t), see [`Self::chunk_cost`].
+    /// Weights for squared normalised residuals, and their costs: a summand (Huber) or a factor
+    /// under the logarithm (Student t), see [`Self::chunk_cost`].
     #[inline(always)]
     fn robust_weight<L: Lanes>(&self, lanes: L, normalised_sq: L::F32) -> (L::F32, L::F32) {
         match self.robust {
@@ -448,13 +454,15 @@ impl Weighting {
             Robust::StudentT { nu } => {
                 let inv_scale_sq = 1.0 / (self.scale * self.scale);
                 let factor = normalised_sq * inv_scale_sq / nu + 1.0;
-                // weight (nu + 1) / (nu + (r/s)^2) / s^2; its integral is (nu + 1) ln(1 + (r/s)^2/nu)
+                // weight (nu + 1) / (nu + (r/s)^2) / s^2; its integral is (nu + 1) ln(1 +
+                // (r/s)^2/nu)
                 (lanes.splat((nu + 1.0) / nu * inv_scale_sq) / factor, factor)
             }
         }
     }
 
-    /// Cost of the visible points of a chunk: one logarithm of the product instead of one for each of them.
+    /// Cost of the visible points of a chunk: one logarithm of the product instead of one for each
+    /// of them.
     #[inline(always)]
     fn chunk_cost<L: Lanes>(&self, lanes: L, visible: L::F32, cost: L::F32) -> f64 {
         match self.robust {

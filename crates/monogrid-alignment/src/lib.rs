@@ -1,8 +1,9 @@
 //! Direct image alignment: the pose of a frame relative to a keyframe with semi-dense depth.
 //!
 //! Flow: [`Reference`] (keyframe image and inverse depth, as points per pyramid level) and
-//! [`Target`] (frame image and its gradient per level) → [`align`] minimises the variance-normalised
-//! photometric error over SE(3) and an affine brightness change, coarse to fine → [`Alignment`].
+//! [`Target`] (frame image and its gradient per level) → [`align`] minimises the
+//! variance-normalised photometric error over SE(3) and an affine brightness change, coarse to fine
+//! → [`Alignment`].
 //!
 //! Conventions: `frame_from_keyframe` maps keyframe coordinates (in the keyframe's units) to the
 //! frame; updates are on the left; brightness is `I_frame = gain * I_keyframe + bias`.

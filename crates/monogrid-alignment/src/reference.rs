@@ -161,7 +161,8 @@ impl Reference {
     }
 }
 
-/// Points of one level. Samples come in rows, so that sums are needed for one row of pixels at a time.
+/// Points of one level. Samples come in rows, so that sums are needed for one row of pixels at a
+/// time.
 fn level_points(
     pyramid: &Pyramid,
     pinhole: &Pinhole,

@@ -20,7 +20,8 @@ pub struct TargetLevel {
 }
 
 impl TargetLevel {
-    /// Bilinear `[intensity, d/dx, d/dy, 0]` between a pixel and the next ones; the caller has checked [`Self::contains_lanes`].
+    /// Bilinear `[intensity, d/dx, d/dy, 0]` between a pixel and the next ones; the caller has
+    /// checked [`Self::contains_lanes`].
     #[inline(always)]
     fn sample(&self, (x, fx): (i32, f32), (y, fy): (i32, f32)) -> f32x4 {
         let i = y as usize * self.width + x as usize;
@@ -57,7 +58,8 @@ impl TargetLevel {
         [mask & intensity, mask & du, mask & dv]
     }
 
-    /// Which pixels are far enough inside for value and gradient, as a mask; not those that are no numbers.
+    /// Which pixels are far enough inside for value and gradient, as a mask; not those that are no
+    /// numbers.
     #[inline(always)]
     pub(crate) fn contains_lanes<L: Lanes>(&self, lanes: L, u: L::F32, v: L::F32) -> L::F32 {
         let one = lanes.splat(1.0);

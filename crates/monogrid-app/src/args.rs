@@ -137,15 +137,16 @@ pub struct MappingArgs {
 /// Options of `run` that say what to read.
 #[derive(Debug, Clone, Default, Args)]
 pub struct SourceArgs {
-    /// Camera calibration [default: calibration.toml or calibration.txt in the source, else estimated
-    /// from the images]
+    /// Camera calibration [default: calibration.toml or calibration.txt in the source, else
+    /// estimated from the images]
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     pub calibration: Option<PathBuf>,
     /// Horizontal field of view of a camera without calibration, degrees [default: estimated]
     #[arg(long, value_name = "DEG", value_parser = field_of_view, conflicts_with = "calibration", help_heading = "Input")]
     pub fov: Option<f64>,
-    /// Time in which the camera reads the rows of its sensor, from the first to the last, milliseconds; negative where it
-    /// begins with the last [default: as the calibration says, else as the images show where there is none, else 0]
+    /// Time in which the camera reads the rows of its sensor, from the first to the last,
+    /// milliseconds; negative where it begins with the last [default: as the calibration says, else
+    /// as the images show where there is none, else 0]
     #[arg(long, value_name = "MS", value_parser = readout_ms, allow_negative_numbers = true, help_heading = "Input")]
     pub rolling_shutter: Option<f64>,
     /// Topic of a recording whose images are used [default: the only one that has some]
@@ -160,14 +161,15 @@ pub struct SourceArgs {
     /// Use at most this many frames
     #[arg(long, value_name = "N", help_heading = "Input")]
     pub max_frames: Option<usize>,
-    /// Give a source up that has sent no whole frame for this long, seconds, 0: never [default: 10 for addresses (http, rtsp ...), else
-    /// never]
+    /// Give a source up that has sent no whole frame for this long, seconds, 0: never [default: 10
+    /// for addresses (http, rtsp ...), else never]
     #[arg(long, value_name = "S", value_parser = source_timeout, help_heading = "Input")]
     pub source_timeout: Option<f64>,
     /// Frame rate of a folder of images without timestamps [default: 30]
     #[arg(long, value_name = "N", value_parser = positive, help_heading = "Input")]
     pub fps: Option<f64>,
-    /// Working size of the images [default: about as many pixels as 640x480, or 400x300 with --profile fast]
+    /// Working size of the images [default: about as many pixels as 640x480, or 400x300 with
+    /// --profile fast]
     #[arg(long, value_name = "WxH", value_parser = size, help_heading = "Input")]
     pub size: Option<(usize, usize)>,
     /// Image of the size of the input, black where pixels must be ignored
@@ -178,8 +180,8 @@ pub struct SourceArgs {
     /// that of the images; `none`: none]
     #[arg(long, value_name = "FILE|TOPIC|none", help_heading = "Input")]
     pub imu: Option<PathBuf>,
-    /// How the camera is mounted on that sensor: tx ty tz qx qy qz qw or a 4x4 matrix, camera to sensor, metres [default: as the
-    /// sensor.yaml of both say, or /tf_static of the recording]
+    /// How the camera is mounted on that sensor: tx ty tz qx qy qz qw or a 4x4 matrix, camera to
+    /// sensor, metres [default: as the sensor.yaml of both say, or /tf_static of the recording]
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     pub imu_from_camera: Option<PathBuf>,
     /// Milliseconds to add to the times of readings to have those of the images [default: 0]
@@ -214,8 +216,8 @@ fn field_of_view(text: &str) -> Result<f64, String> {
     number_in(text, 5.0..=160.0, "a field of view from 5 to 160 degrees")
 }
 
-/// Time between the first and the last row of an image, ms, negative where it is upside down: real sensors take at most as long as a frame of a slow
-/// video lasts.
+/// Time between the first and the last row of an image, ms, negative where it is upside down: real
+/// sensors take at most as long as a frame of a slow video lasts.
 pub fn readout_ms(text: &str) -> Result<f64, String> {
     number_in(text, -100.0..=100.0, "-100 to 100 milliseconds")
 }

@@ -1,4 +1,5 @@
-//! The configuration of a run: profile, then file, then `--set`, then options; written out as it was used.
+//! The configuration of a run: profile, then file, then `--set`, then options; written out as it
+//! was used.
 
 use crate::args::{MappingArgs, Profile};
 use crate::process::failure::{Classify, Failure};
@@ -43,7 +44,8 @@ impl RunConfig {
             Profile::Fast => {
                 config.working_pixels = 400 * 300;
                 config.mapping.quality = MapQuality::Fast;
-                // in smaller images the start takes longer to be sure of; as many more of them fit in the same memory
+                // in smaller images the start takes longer to be sure of; as many more of them fit
+                // in the same memory
                 config.slam.initialization.max_buffered_frames *= 2;
                 // the second round moves points by hundredths of a pixel
                 config.slam.sparse.final_rounds = 1;
@@ -56,7 +58,8 @@ impl RunConfig {
         config
     }
 
-    /// The configuration of a profile with the values of a file and of `key=value` settings in place.
+    /// The configuration of a profile with the values of a file and of `key=value` settings in
+    /// place.
     ///
     /// The profile is `profile`, else what the file says, else the default one.
     pub fn resolve(
@@ -90,8 +93,8 @@ impl RunConfig {
         Ok(self)
     }
 
-    /// As [`Self::resolve`], with nothing of the file but its profile and its section `[mapping]`, so that
-    /// the other settings may be those of another version.
+    /// As [`Self::resolve`], with nothing of the file but its profile and its section `[mapping]`,
+    /// so that the other settings may be those of another version.
     pub fn resolve_mapping(profile: Option<Profile>, file: Option<&Path>) -> Result<Self, Failure> {
         let Some(path) = file else {
             return Self::resolve(profile, None, &[]);

@@ -1,5 +1,6 @@
-//! Colour of keyframes: read from the files once more when a keyframe is finished, or what a video showed beside luma, and kept as JPEG,
-//! so that tracking knows nothing of it and no decoded image stays in memory.
+//! Colour of keyframes: read from the files once more when a keyframe is finished, or what a video
+//! showed beside luma, and kept as JPEG, so that tracking knows nothing of it and no decoded image
+//! stays in memory.
 
 use crate::input::frame_colours::{FrameColour, FrameColours};
 use crate::input::{Images, Input};
@@ -12,7 +13,8 @@ use monogrid_video::Colour;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Quality of the JPEG images: errors of some grey levels, a third of the bytes of the grey image in the recording.
+/// Quality of the JPEG images: errors of some grey levels, a third of the bytes of the grey image
+/// in the recording.
 const QUALITY: u8 = 88;
 
 /// Where the colour of keyframes comes from.
@@ -43,8 +45,8 @@ impl ColourSource {
         })
     }
 
-    /// The working image of a keyframe in colour, as JPEG; `None` where it is grey, or cannot be read a second time. To be asked for
-    /// once.
+    /// The working image of a keyframe in colour, as JPEG; `None` where it is grey, or cannot be
+    /// read a second time. To be asked for once.
     pub fn keyframe(&self, keyframe: &Keyframe) -> Option<Vec<u8>> {
         let frame = keyframe.frame_index;
         let kept = self.kept.take(frame);
@@ -83,7 +85,8 @@ impl ColourSource {
         }
     }
 
-    /// An image of the camera as the working image shows it: undistorted, and rectified as the grey one was.
+    /// An image of the camera as the working image shows it: undistorted, and rectified as the grey
+    /// one was.
     fn working(&self, image: &ColourImage, kept: &FrameColour) -> Option<ColourImage> {
         let undistorted = self.preparation.apply_rgb(image).ok()?;
         match &kept.rectification {

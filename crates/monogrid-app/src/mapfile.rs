@@ -13,12 +13,13 @@ pub fn save(map: &OccupancyMap, file: &OutputFile, format: MapFormat) -> Result<
     Ok(std::fs::metadata(file.path()).map_or(0, |metadata| metadata.len()))
 }
 
-/// Blocks of 8x8x8 cells that any map file may describe: fifteen hundred cubic metres of cells of 5 cm. What commands do
-/// with a map takes memory and time for each, and a few bytes can describe billions.
+/// Blocks of 8x8x8 cells that any map file may describe: fifteen hundred cubic metres of cells of 5
+/// cm. What commands do with a map takes memory and time for each, and a few bytes can describe
+/// billions.
 const SMALL_FILE_BRICKS: u64 = 3 << 13;
 
-/// Bytes of a small file, and bytes of a larger one for each block more. Those at surfaces take more of them, those of
-/// free space hardly any.
+/// Bytes of a small file, and bytes of a larger one for each block more. Those at surfaces take
+/// more of them, those of free space hardly any.
 const SMALL_FILE_BYTES: u64 = 1 << 20;
 const BYTES_PER_BRICK: u64 = 8;
 
@@ -75,7 +76,8 @@ fn too_large(file_bytes: u64) -> String {
 mod tests {
     use super::*;
 
-    /// A binary tree of OctoMap: inner nodes with one child, below them full ones, and below those occupied and free leaves.
+    /// A binary tree of OctoMap: inner nodes with one child, below them full ones, and below those
+    /// occupied and free leaves.
     fn tree(single: usize, depth: u32) -> Vec<u8> {
         fn node(depth: u32, out: &mut Vec<u8>) {
             if depth == 0 {

@@ -84,8 +84,8 @@ impl Recorded {
         })
     }
 
-    /// The map of its [scans](Self::scans) by these settings, as the run that ended with these poses makes it, and the cell where it
-    /// follows from the scene.
+    /// The map of its [scans](Self::scans) by these settings, as the run that ended with these
+    /// poses makes it, and the cell where it follows from the scene.
     pub fn map(
         &self,
         scans: &[KeyframeScan],
@@ -179,7 +179,8 @@ pub fn scans_of(
     })
 }
 
-/// Something of each keyframe, made from those of the same camera: depth is made better by images of its own camera only.
+/// Something of each keyframe, made from those of the same camera: depth is made better by images
+/// of its own camera only.
 pub fn by_camera<T>(
     keyframes: &[RecordedKeyframe],
     of_camera: impl Fn(&[PosedKeyframe], &KeyframeCamera) -> Vec<T>,

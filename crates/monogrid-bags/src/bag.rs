@@ -203,7 +203,8 @@ impl Bag {
         }
     }
 
-    /// The camera of a topic of images: by the calibration in the same namespace, where there is one.
+    /// The camera of a topic of images: by the calibration in the same namespace, where there is
+    /// one.
     ///
     /// # Errors
     /// A calibration that is not understood.

@@ -12,8 +12,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Most bytes of a record: an image of 8K in colour is a tenth of it.
 const MAX_BYTES: u64 = 1 << 30;
 
-/// Bytes that any chunk may hold, and how many more for each of its own: recorders write chunks of one to four megabytes,
-/// and images hardly shrink.
+/// Bytes that any chunk may hold, and how many more for each of its own: recorders write chunks of
+/// one to four megabytes, and images hardly shrink.
 const CHUNK_BYTES: u64 = 32 << 20;
 const CHUNK_GROWTH: u64 = 8;
 
@@ -161,8 +161,8 @@ pub fn unpacked_file(file: &File) -> Result<File, String> {
     Ok(out)
 }
 
-/// Messages one by one, until the end of the file or the first damage. `read_on` reads some of the file and adds the messages that are in it;
-/// whether there may be more.
+/// Messages one by one, until the end of the file or the first damage. `read_on` reads some of the
+/// file and adds the messages that are in it; whether there may be more.
 pub fn in_chunks(
     path: &Path,
     mut read_on: impl FnMut(&mut VecDeque<Raw>) -> Result<bool, String> + Send + 'static,

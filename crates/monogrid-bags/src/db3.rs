@@ -1,4 +1,5 @@
-//! rosbag2 in SQLite files: a table of topics (id, name, type, ...) and one of messages (id, topic, time, data).
+//! rosbag2 in SQLite files: a table of topics (id, name, type, ...) and one of messages (id, topic,
+//! time, data).
 
 use crate::bag::Messages;
 use crate::error::BagError;

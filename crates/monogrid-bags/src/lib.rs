@@ -1,4 +1,5 @@
-//! Images and calibrations in recordings of robots: rosbag2 (`.mcap`, `.db3`, or the folder of one) and ROS 1 bags (`.bag`).
+//! Images and calibrations in recordings of robots: rosbag2 (`.mcap`, `.db3`, or the folder of one)
+//! and ROS 1 bags (`.bag`).
 //!
 //! ```no_run
 //! let bag = monogrid_bags::Bag::open("drive.mcap".as_ref())?;
@@ -13,8 +14,9 @@
 //!
 //! [`McapWriter`] writes what other programs show: poses, images, clouds, maps seen from above.
 //!
-//! Recordings are read from the beginning, a chunk at a time; what a chunk claims to hold is limited, and damage is an error
-//! that says where it was found, never a panic. Times are those of the messages' headers.
+//! Recordings are read from the beginning, a chunk at a time; what a chunk claims to hold is
+//! limited, and damage is an error that says where it was found, never a panic. Times are those of
+//! the messages' headers.
 #![deny(missing_docs)]
 
 mod bag;

@@ -1,4 +1,5 @@
-//! ROS 1 bags, version 2.0: records of header fields (`name=value`) and data; messages lie in chunks.
+//! ROS 1 bags, version 2.0: records of header fields (`name=value`) and data; messages lie in
+//! chunks.
 
 use crate::bag::Messages;
 use crate::chunks::{self, Unpacker, in_chunks};

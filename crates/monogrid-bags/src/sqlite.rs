@@ -1,7 +1,9 @@
-//! Tables of an SQLite file, read row by row: the part of the published file format that a closed recording uses.
+//! Tables of an SQLite file, read row by row: the part of the published file format that a closed
+//! recording uses.
 //!
-//! A table is a tree of pages. Its leaves hold rows: a list of types, then the values; what does not fit goes on in a chain of
-//! overflow pages. Nothing is looked up and nothing written, which is why a hundred lines take the place of a library in C.
+//! A table is a tree of pages. Its leaves hold rows: a list of types, then the values; what does
+//! not fit goes on in a chain of overflow pages. Nothing is looked up and nothing written, which is
+//! why a hundred lines take the place of a library in C.
 
 use crate::part::Input;
 use std::io::{Read, Seek, SeekFrom};
@@ -248,7 +250,8 @@ fn be_u32(bytes: &[u8], at: usize) -> Option<u32> {
     Some(u32::from_be_bytes(*bytes))
 }
 
-/// A number of one to nine bytes, seven bits each and eight in the ninth, and where the next one begins.
+/// A number of one to nine bytes, seven bits each and eight in the ninth, and where the next one
+/// begins.
 fn varint(bytes: &[u8], at: usize) -> Option<(u64, usize)> {
     let mut value = 0;
     for k in 0..8 {

@@ -1,5 +1,6 @@
 //! Calibrates from the images of a sequence and compares with its calibration:
-//! `cargo run --release -p monogrid-calibration --example calibrate_sequence -- FOLDER [START [COUNT]]`.
+//! `cargo run --release -p monogrid-calibration --example calibrate_sequence -- FOLDER [START
+//! [COUNT]]`.
 #![allow(clippy::print_stdout, reason = "an example")]
 
 use monogrid_calibration::{

@@ -1,7 +1,8 @@
 //! Bundle adjustment with shared intrinsics: poses, points and one camera refined together.
 //!
-//! Levenberg-Marquardt on a robust reprojection error; points are eliminated (Schur complement), the
-//! reduced system of poses and camera is dense. The first view is held; the scale is left to the damping.
+//! Levenberg-Marquardt on a robust reprojection error; points are eliminated (Schur complement),
+//! the reduced system of poses and camera is dense. The first view is held; the scale is left to
+//! the damping.
 
 use crate::intrinsics::{Intrinsics, NUM_PARAMETERS, ParameterMatrix, Parameters, Prior, READOUT};
 use monogrid_geometry::{Se3, Vec2, Vec3, Vec6, hat};
@@ -17,8 +18,9 @@ pub struct Sighting {
     pub point: usize,
     /// Pixel as the camera has it, with distortion.
     pub pixel: Vec2,
-    /// How far a rolling shutter that takes the whole time from frame to frame moves it, px: the motion from frame to frame
-    /// times the [phase](monogrid_geometry::ReadoutDirection::phase) of the pixel.
+    /// How far a rolling shutter that takes the whole time from frame to frame moves it, px: the
+    /// motion from frame to frame times the [phase](monogrid_geometry::ReadoutDirection::phase) of
+    /// the pixel.
     pub bend: Vec2,
 }
 
@@ -73,8 +75,8 @@ pub struct Adjusted {
     pub scene: Scene,
     /// Half the sum of robust squared errors, in standard deviations, with the prior.
     pub cost: f64,
-    /// Information of the sightings about the parameters of the camera, with poses and points unknown;
-    /// without the prior.
+    /// Information of the sightings about the parameters of the camera, with poses and points
+    /// unknown; without the prior.
     pub information: SMatrix<f64, NUM_PARAMETERS, NUM_PARAMETERS>,
     /// Squared error of each sighting in standard deviations; infinite behind the camera.
     pub chi2: Vec<f64>,

@@ -15,8 +15,8 @@ pub struct EstimateConfig {
     /// Windows whose corners fit worse than this (root of the mean squared error) are not used, px.
     /// Default 1.5.
     pub max_rms_px: f64,
-    /// By how much errors that the windows share (rolling shutter, corners that drift together) make
-    /// the statistical standard deviations too small. Range 1..; default 3.
+    /// By how much errors that the windows share (rolling shutter, corners that drift together)
+    /// make the statistical standard deviations too small. Range 1..; default 3.
     pub inflation: f64,
     /// Relative standard deviation of the focal length up to which it counts as determined.
     /// Default 0.05.
@@ -45,7 +45,8 @@ pub struct Estimate {
     pub intrinsics: Intrinsics,
     /// Width and height of the images, px.
     pub size: (usize, usize),
-    /// Standard deviations of `[ln f, k1, k2, cx, cy, readout]`: the first is relative, those of `cx` and `cy` in px.
+    /// Standard deviations of `[ln f, k1, k2, cx, cy, readout]`: the first is relative, those of
+    /// `cx` and `cy` in px.
     pub sigma: Parameters,
     /// Windows of the video that could be used.
     pub num_windows: usize,
@@ -53,7 +54,8 @@ pub struct Estimate {
     pub num_given: usize,
     /// Root of the mean squared error of the corners that fit, px.
     pub rms_px: f64,
-    /// Focal length in px and its relative standard deviation as each window that could be used says alone.
+    /// Focal length in px and its relative standard deviation as each window that could be used
+    /// says alone.
     pub each_focal: Vec<(f64, f64)>,
     max_relative_sigma: f64,
 }
@@ -65,8 +67,9 @@ impl Estimate {
         self.num_windows > 0 && self.sigma[0] <= self.max_relative_sigma
     }
 
-    /// Time from the first row to the last in shares of the time from frame to frame, and its standard deviation; none where
-    /// the motion does not show that it takes any, or where it would be longer than a frame.
+    /// Time from the first row to the last in shares of the time from frame to frame, and its
+    /// standard deviation; none where the motion does not show that it takes any, or where it would
+    /// be longer than a frame.
     #[must_use]
     pub fn readout(&self) -> Option<(f64, f64)> {
         let (readout, sigma) = (self.intrinsics.readout, self.sigma[READOUT]);
@@ -104,11 +107,12 @@ impl Estimate {
 
 /// Relative error of the focal length below which nothing is claimed: square pixels, two terms of
 /// distortion, and corners that keep their place while they are seen from elsewhere hold only about
-/// that well (maps of four sequences were 0.3, 0.8, 1.3 and 2.6 % off, with smaller statistical errors).
+/// that well (maps of four sequences were 0.3, 0.8, 1.3 and 2.6 % off, with smaller statistical
+/// errors).
 const SIGMA_FLOOR: f64 = 0.013;
 
-/// Standard deviations by which a readout must differ from none, and the least that matters, in shares of the time from
-/// frame to frame.
+/// Standard deviations by which a readout must differ from none, and the least that matters, in
+/// shares of the time from frame to frame.
 const READOUT_SIGMAS: f64 = 3.0;
 const MIN_READOUT: f64 = 0.1;
 
@@ -142,8 +146,8 @@ pub fn estimate_intrinsics(
     conclude(&opinions, windows.len(), size, &global, config)
 }
 
-/// Estimates the camera of scenes that are known but for it, as a map holds them: each is adjusted once from where it
-/// is, and asked for when its turn comes. The scenes have images of one size.
+/// Estimates the camera of scenes that are known but for it, as a map holds them: each is adjusted
+/// once from where it is, and asked for when its turn comes. The scenes have images of one size.
 ///
 /// With no usable scene the result is the prior. Some 5 ms per scene of twenty views.
 #[must_use]

@@ -6,8 +6,8 @@ use nalgebra::{SMatrix, SVector};
 /// Number of parameters of a camera.
 pub const NUM_PARAMETERS: usize = 6;
 
-/// Parameters of a camera in the order `[ln f, k1, k2, cx, cy, readout]`; `cx`, `cy` in px, the readout in shares of the
-/// time from frame to frame.
+/// Parameters of a camera in the order `[ln f, k1, k2, cx, cy, readout]`; `cx`, `cy` in px, the
+/// readout in shares of the time from frame to frame.
 pub type Parameters = SVector<f64, NUM_PARAMETERS>;
 
 /// Which of the parameters the readout is.
@@ -25,7 +25,8 @@ pub struct Intrinsics {
     pub centre: Vec2,
     /// Radial distortion, factors of the squared and the fourth power of the radius.
     pub radial: [f64; 2],
-    /// Time from the first row to the last (rolling shutter), in shares of the time from frame to frame.
+    /// Time from the first row to the last (rolling shutter), in shares of the time from frame to
+    /// frame.
     pub readout: f64,
 }
 
@@ -79,7 +80,8 @@ impl Intrinsics {
         }
     }
 
-    /// The same camera for images of this size; `None` where its numbers are not those of a real one.
+    /// The same camera for images of this size; `None` where its numbers are not those of a real
+    /// one.
     #[must_use]
     pub fn camera(&self, (width, height): (usize, usize)) -> Option<Camera> {
         Camera::try_new(width, height, self.pinhole(), self.distortion()).ok()
@@ -184,12 +186,12 @@ pub struct Prior {
 }
 
 impl Prior {
-    /// An ordinary camera: a field of view of `fov_deg` along the longer side, little distortion and a
-    /// principal point near the centre.
+    /// An ordinary camera: a field of view of `fov_deg` along the longer side, little distortion
+    /// and a principal point near the centre.
     ///
-    /// The focal length is left within a factor of about 1.4, `k1` within 0.15, `k2` within 0.05, the
-    /// principal point within 0.4 % of the longer side, the readout within half of the time from frame to frame (one standard
-    /// deviation each).
+    /// The focal length is left within a factor of about 1.4, `k1` within 0.15, `k2` within 0.05,
+    /// the principal point within 0.4 % of the longer side, the readout within half of the time
+    /// from frame to frame (one standard deviation each).
     #[must_use]
     pub fn ordinary(fov_deg: f64, size: (usize, usize)) -> Self {
         let longer = size.0.max(size.1) as f64;

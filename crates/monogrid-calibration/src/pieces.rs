@@ -11,9 +11,10 @@ const MIN_POINTS: usize = 40;
 const MIN_VIEWS: usize = 4;
 
 impl Scene {
-    /// Pieces of `num_views` views that follow each other, with the points that at least three of them see; each has
-    /// its first view at the origin and a median depth of one. What is left at the end, and pieces of fewer than
-    /// four views or forty points, are left out. Each is made when it is asked for: all together are larger than the scene.
+    /// Pieces of `num_views` views that follow each other, with the points that at least three of
+    /// them see; each has its first view at the origin and a median depth of one. What is left at
+    /// the end, and pieces of fewer than four views or forty points, are left out. Each is made
+    /// when it is asked for: all together are larger than the scene.
     pub fn pieces(&self, num_views: usize) -> impl Iterator<Item = Self> {
         let views = num_views.max(MIN_VIEWS);
         let starts = (0..self.poses.len()).step_by(views);

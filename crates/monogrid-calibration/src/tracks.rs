@@ -11,7 +11,8 @@ use std::collections::BTreeSet;
 pub struct Track {
     /// View and pixel, one per view that sees it, in the order of views.
     pub pixels: Vec<(usize, Vec2)>,
-    /// For each of them how far the corner moves from frame to frame there, px; empty where nobody knows.
+    /// For each of them how far the corner moves from frame to frame there, px; empty where nobody
+    /// knows.
     pub steps: Vec<Vec2>,
 }
 
@@ -45,8 +46,8 @@ pub struct Window {
 pub struct CollectorConfig {
     /// Corners followed at a time. Range 50..; default 350.
     pub max_points: usize,
-    /// Median motion after which a frame becomes a view, as a share of the longer side of the image.
-    /// Range 0.005..0.2; default 0.03.
+    /// Median motion after which a frame becomes a view, as a share of the longer side of the
+    /// image. Range 0.005..0.2; default 0.03.
     pub view_step: f64,
     /// A frame becomes a view at the latest when less than this share of the corners is still
     /// followed. Range 0..1; default 0.7.
@@ -81,7 +82,8 @@ struct Followed {
     track: usize,
     /// In the newest view.
     in_view: Vec2,
-    /// In the newest frame, and by how much it moved there; `None` where it has only just been found.
+    /// In the newest frame, and by how much it moved there; `None` where it has only just been
+    /// found.
     now: Vec2,
     step: Option<Vec2>,
 }
@@ -140,7 +142,8 @@ impl TrackCollector {
         self.windows.len()
     }
 
-    /// Takes the next frame; all frames of a window have one size (another one begins a new window).
+    /// Takes the next frame; all frames of a window have one size (another one begins a new
+    /// window).
     pub fn add(&mut self, image: &GrayImage) {
         self.moves.clear();
         let frame = Pyramid::new(image.clone(), NUM_LEVELS);

@@ -28,7 +28,8 @@ impl Cli {
     }
 }
 
-/// An error repeats the arguments that it is about: it is that of arguments that a terminal only shows.
+/// An error repeats the arguments that it is about: it is that of arguments that a terminal only
+/// shows.
 fn with_printable(error: clap::Error, arguments: &[OsString]) -> clap::Error {
     let shown: Vec<String> = arguments
         .iter()
@@ -42,7 +43,8 @@ fn with_printable(error: clap::Error, arguments: &[OsString]) -> clap::Error {
     again.unwrap_or_else(|| command().error(error.kind(), "an argument holds control characters"))
 }
 
-/// `--view rerun` and `--view rrd=FILE` as one word, as `--view=8080` is: what follows `--view` alone is the source.
+/// `--view rerun` and `--view rrd=FILE` as one word, as `--view=8080` is: what follows `--view`
+/// alone is the source.
 fn with_view(arguments: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
     let mut joined: Vec<OsString> = Vec::new();
     for argument in arguments {

@@ -1,4 +1,5 @@
-//! The command `monogrid` as a function, for those who bring it along: what runs it is the process's only.
+//! The command `monogrid` as a function, for those who bring it along: what runs it is the
+//! process's only.
 
 pub use monogrid_app::process::console::printable;
 
@@ -12,9 +13,11 @@ use std::error::Error;
 use std::ffi::OsString;
 use std::path::Path;
 
-/// Does what a command line asks for, the name of the program first, and prints what it has to say; the exit code.
+/// Does what a command line asks for, the name of the program first, and prints what it has to say;
+/// the exit code.
 ///
-/// It takes the whole process: its pool of threads, its signals, its standard output. It is meant to be called once.
+/// It takes the whole process: its pool of threads, its signals, its standard output. It is meant
+/// to be called once.
 pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     // the clock of "frames per second, everything included"
     usage::process_start();
@@ -65,7 +68,8 @@ fn execute(cli: &Cli) -> CommandResult {
     }
 }
 
-/// The settings of a `config.toml`, or the default ones, with changes as `--set` takes them (`mapping.resolution=0.02`).
+/// The settings of a `config.toml`, or the default ones, with changes as `--set` takes them
+/// (`mapping.resolution=0.02`).
 ///
 /// # Errors
 /// A file or a setting that is not understood, or out of its range.

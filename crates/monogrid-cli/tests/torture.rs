@@ -1,5 +1,5 @@
-//! The campaign of `scripts/torture.sh`: hostile input, kills, full disks, odd names and extreme settings, each against
-//! the program as users start it, with a limit on memory and time.
+//! The campaign of `scripts/torture.sh`: hostile input, kills, full disks, odd names and extreme
+//! settings, each against the program as users start it, with a limit on memory and time.
 //!
 //! It takes minutes, so that every part is ignored unless asked for. `TORTURE_SECONDS` is the time
 //! for each kind of mutated file, client or source, `TORTURE_MUTANTS` a number of them in its

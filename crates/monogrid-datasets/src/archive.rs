@@ -1,9 +1,11 @@
-//! Sequences in an archive. Their files are read where they are: nothing is unpacked that could be seen by others or left behind.
+//! Sequences in an archive. Their files are read where they are: nothing is unpacked that could be
+//! seen by others or left behind.
 //!
-//! While an [`Archive`] lives, paths lead through it as through a folder (`set.zip/rgb/1.png`): the functions of
-//! [`crate::files`] know all archives that are open. A zip file says itself where its files are, a tar file is looked through
-//! once. A gzipped tar file has no such places: it is decompressed to a file without a name, which the system deletes when
-//! the program ends, however it ends.
+//! While an [`Archive`] lives, paths lead through it as through a folder (`set.zip/rgb/1.png`): the
+//! functions of [`crate::files`] know all archives that are open. A zip file says itself where its
+//! files are, a tar file is looked through once. A gzipped tar file has no such places: it is
+//! decompressed to a file without a name, which the system deletes when the program ends, however
+//! it ends.
 
 use crate::images::IMAGE_ENDINGS;
 use crate::{DatasetError, open_file};
@@ -65,10 +67,12 @@ enum Place {
     Tar(u64, u64),
 }
 
-/// All archives that are open. A list for the whole process: paths are all that readers of images are given.
+/// All archives that are open. A list for the whole process: paths are all that readers of images
+/// are given.
 static OPEN: Mutex<Vec<Weak<Archive>>> = Mutex::new(Vec::new());
 
-/// The archive that a path leads into, and the name in it; the name is empty for the archive itself.
+/// The archive that a path leads into, and the name in it; the name is empty for the archive
+/// itself.
 pub(crate) fn within(path: &Path) -> Option<(Arc<Archive>, PathBuf)> {
     let open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
     let mut living = open.iter().rev().filter_map(Weak::upgrade);
@@ -129,11 +133,12 @@ pub(crate) fn stem(path: &Path) -> String {
 }
 
 impl Archive {
-    /// Finds out where the files of a sequence are. Their paths can be read as long as what is returned lives.
+    /// Finds out where the files of a sequence are. Their paths can be read as long as what is
+    /// returned lives.
     ///
     /// # Errors
-    /// When the archive cannot be read or is damaged, it holds much more than images would need, or, of a
-    /// gzipped one, the disk is full.
+    /// When the archive cannot be read or is damaged, it holds much more than images would need,
+    /// or, of a gzipped one, the disk is full.
     pub(crate) fn open(path: &Path) -> Result<Arc<Self>, DatasetError> {
         let (file, length) = open_file(path)?;
         let of_archive = Listing {
@@ -228,7 +233,8 @@ impl Archive {
             .take_while(move |name| name.starts_with(folder))
     }
 
-    /// Reads at most `max_bytes` of a file, and whether there are no more. The bytes are those that were packed.
+    /// Reads at most `max_bytes` of a file, and whether there are no more. The bytes are those that
+    /// were packed.
     pub(crate) fn read(&self, name: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
         let place = self.files.get(name).ok_or(io::ErrorKind::NotFound)?;
         let mut bytes = Vec::new();
@@ -239,7 +245,8 @@ impl Archive {
                     true => Box::new(DeflateDecoder::new(packed.reader())),
                     false => Box::new(packed.reader()),
                 };
-                // one byte more than it claims: then the checksum is compared, or the claim found wrong
+                // one byte more than it claims: then the checksum is compared, or the claim found
+                // wrong
                 let most = max_bytes.min(claimed.saturating_add(1));
                 let verified = packed.verifying_reader(content);
                 verified.take(most).read_to_end(&mut bytes)?;
@@ -288,7 +295,8 @@ impl Listing<'_> {
         Ok(())
     }
 
-    /// Lists a file, if a sequence needs it; a name that leads elsewhere is left out, the first of two counts.
+    /// Lists a file, if a sequence needs it; a name that leads elsewhere is left out, the first of
+    /// two counts.
     fn add(&mut self, name: &Path, length: u64, place: Place) -> Result<(), DatasetError> {
         self.num_bytes = self.num_bytes.saturating_add(length);
         if self.num_bytes > self.max_bytes {
@@ -336,7 +344,8 @@ impl Listing<'_> {
         Ok((Container::Zip(Box::new(zip)), self.files, None))
     }
 
-    /// Decompresses to a file without a name, which is private and goes with the process in every case.
+    /// Decompresses to a file without a name, which is private and goes with the process in every
+    /// case.
     fn tar_gz(self, mut file: File, length: u64) -> Result<Listed, DatasetError> {
         let write = |error| DatasetError::io("decompress", self.path, error);
         // what comes out, by the end of the file: of 4 GB and more too few

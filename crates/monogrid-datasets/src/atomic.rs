@@ -35,8 +35,8 @@ impl AtomicFile {
         })
     }
 
-    /// Flushes to the disk and renames into place: after a crash, even of the machine, there is the old file or
-    /// the new one, never half of one.
+    /// Flushes to the disk and renames into place: after a crash, even of the machine, there is the
+    /// old file or the new one, never half of one.
     ///
     /// # Errors
     /// When the disk is full or the destination cannot be replaced; the old file then stays.

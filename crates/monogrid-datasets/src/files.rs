@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 
 /// Opens a regular file (through links) and says how many bytes it has.
 ///
-/// Anything else is refused before it is opened: a pipe would wait for a writer for ever, a device may have no end.
+/// Anything else is refused before it is opened: a pipe would wait for a writer for ever, a device
+/// may have no end.
 ///
 /// # Errors
 /// When it does not exist, is a folder, pipe or device, or cannot be opened.

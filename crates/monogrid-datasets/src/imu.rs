@@ -28,13 +28,15 @@ pub struct ImuFile {
 impl ImuFile {
     /// Reads a table of readings, one a line, separated by commas, semicolons or blanks.
     ///
-    /// Columns are found by their names in the first line (`timestamp,gx,gy,gz,ax,ay,az`, EuRoC's, and most of what phones
-    /// write), else they are time, gyroscope x y z, accelerometer x y z. The unit of time follows from the time between readings,
-    /// which is taken to be 0.5 to 200 ms; that of the accelerometer from gravity, which must be in it; gyroscopes are in rad/s unless
+    /// Columns are found by their names in the first line (`timestamp,gx,gy,gz,ax,ay,az`, EuRoC's,
+    /// and most of what phones write), else they are time, gyroscope x y z, accelerometer x y z.
+    /// The unit of time follows from the time between readings, which is taken to be 0.5 to 200 ms;
+    /// that of the accelerometer from gravity, which must be in it; gyroscopes are in rad/s unless
     /// a name says degrees.
     ///
     /// # Errors
-    /// When the file cannot be read, a line is not one of numbers, or the readings are not those of such a sensor.
+    /// When the file cannot be read, a line is not one of numbers, or the readings are not those of
+    /// such a sensor.
     pub fn read(path: &Path) -> Result<Self, DatasetError> {
         let text = read_text(path)?;
         let columns = Columns::find(&text, path)?;
@@ -283,7 +285,8 @@ fn is_force_in_g(rows: &[Row], path: &Path) -> Result<bool, DatasetError> {
     }
 }
 
-/// Writes readings in EuRoC's layout: `data.csv` and `sensor.yaml` in a folder that exists, atomically.
+/// Writes readings in EuRoC's layout: `data.csv` and `sensor.yaml` in a folder that exists,
+/// atomically.
 ///
 /// # Errors
 /// When a file cannot be written.

@@ -1,13 +1,15 @@
 //! Image sources, calibration and trajectory files, and recordings.
 //!
-//! * [`Dataset::open`] finds the frames of a sequence in any of the usual layouts; [`read_gray`] and
-//!   [`read_depth`] decode them.
+//! * [`Dataset::open`] finds the frames of a sequence in any of the usual layouts; [`read_gray`]
+//!   and [`read_depth`] decode them.
 //! * [`Calibration::read`] and [`DepthCalibration::read`] understand the usual calibration files.
 //! * [`DepthRegistration`] brings depth images into the colour camera.
 //! * [`read_trajectory`], [`write_tum`], [`read_sim3`] and their kin handle poses.
 //! * [`ImuFile`] reads the inertial measurements beside them.
-//! * [`RecordingWriter`] and [`Recording`] write and read `.mgk` files, [`ScansReader`] reads `.scans`.
-//! * [`SubmapBuilder`], [`SubmapReader`] and [`SubmapTable`] are the same in pieces that never change, `.mgs`.
+//! * [`RecordingWriter`] and [`Recording`] write and read `.mgk` files, [`ScansReader`] reads
+//!   `.scans`.
+//! * [`SubmapBuilder`], [`SubmapReader`] and [`SubmapTable`] are the same in pieces that never
+//!   change, `.mgs`.
 //! * [`FrameChecker`] and [`SequenceCheck`] say what in the images would hurt tracking.
 //! * [`FixedPartFinder`] finds what of the picture is fixed to the camera.
 //! * [`write_atomically`] replaces files whole or not at all.

@@ -3,7 +3,8 @@
 const NANOS_PER_SECOND: i128 = 1_000_000_000;
 
 /// Nanoseconds of a decimal number of seconds (`12.5`, `-0.25`, `1.036224e-01`), exact to the
-/// nanosecond and rounded half away from zero beyond; `None` when it is not a number or does not fit.
+/// nanosecond and rounded half away from zero beyond; `None` when it is not a number or does not
+/// fit.
 ///
 /// A bare integer of 16 or more digits is taken as nanoseconds, as EuRoC's tools write them: as
 /// seconds it would lie 30 million years ahead.

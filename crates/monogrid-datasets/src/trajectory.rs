@@ -103,7 +103,8 @@ pub fn parse_kitti(
     Ok(poses)
 }
 
-/// A pose from a 3x4 or 4x4 matrix, row by row; `None` unless finite with a rotation (within 0.1 %).
+/// A pose from a 3x4 or 4x4 matrix, row by row; `None` unless finite with a rotation (within 0.1
+/// %).
 pub(crate) fn pose_from_matrix(values: &[f64]) -> Option<Se3> {
     let &[a, b, c, x, d, e, f, y, g, h, i, z, ..] = values else {
         return None;
@@ -212,7 +213,8 @@ pub fn read_sim3(path: &Path) -> Result<Sim3, DatasetError> {
     })
 }
 
-/// Reads a file that holds one rigid transform (target_from_source): `tx ty tz qx qy qz qw`, or a 3x4 or 4x4 matrix row by row.
+/// Reads a file that holds one rigid transform (target_from_source): `tx ty tz qx qy qz qw`, or a
+/// 3x4 or 4x4 matrix row by row.
 ///
 /// # Errors
 /// When the file cannot be read or is not of this form.

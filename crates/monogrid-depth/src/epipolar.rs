@@ -2,8 +2,8 @@
 //!
 //! With `a = K R K⁻¹ p` and `b = K t` the pixel of inverse depth `d` projects to `h = a + d b`, and
 //! `h_z = z_frame / z_keyframe`. Hence it moves on a line of constant direction
-//! `q = (b_x a_z - a_x b_z, b_y a_z - a_y b_z)`, at the distance `s(d) = d |q| / (a_z h_z)` from the
-//! projection of the point at infinity.
+//! `q = (b_x a_z - a_x b_z, b_y a_z - a_y b_z)`, at the distance `s(d) = d |q| / (a_z h_z)` from
+//! the projection of the point at infinity.
 
 use crate::observe::StereoFrame;
 use monogrid_geometry::{Mat3, Pinhole};

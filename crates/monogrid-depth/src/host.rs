@@ -22,8 +22,9 @@ pub struct HostFrame {
 const MAX_SIDE: usize = 32_000;
 
 impl HostFrame {
-    /// Computes the gradients of `image`; `None` where the mask has another size, a side has less than 16 px or more
-    /// than the fixed-point coordinates of the search, or the intrinsics are those of no camera.
+    /// Computes the gradients of `image`; `None` where the mask has another size, a side has less
+    /// than 16 px or more than the fixed-point coordinates of the search, or the intrinsics are
+    /// those of no camera.
     #[must_use]
     pub fn new(image: GrayImage, mask: Mask, pinhole: Pinhole) -> Option<Self> {
         let size_ok = |side| (16..=MAX_SIDE).contains(&side);

@@ -16,8 +16,8 @@
 //! * Poses are `frame_from_keyframe` with the translation in the same unit.
 //! * Pixel centres are integers; all frames share the keyframe's intrinsics and size.
 //! * Grey values are in [0, 255]; `I_frame = gain * I_keyframe + bias`.
-//! * Nothing here spawns threads: kernels work on bands of rows that the caller distributes, and the
-//!   result does not depend on the bands.
+//! * Nothing here spawns threads: kernels work on bands of rows that the caller distributes, and
+//!   the result does not depend on the bands.
 //!
 //! References: \[SDVO13\] Engel, Sturm, Cremers, *Semi-Dense Visual Odometry for a Monocular
 //! Camera*, ICCV 2013; \[Hull17\] section 3.3.2.

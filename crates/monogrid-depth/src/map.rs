@@ -8,7 +8,8 @@ use std::sync::Arc;
 
 /// Width of the border without hypotheses, px: the patch reaches so far.
 pub(crate) const BORDER: usize = 6;
-/// Variance of a difference of pixels is at least this, grey levels²: whole grey levels differ by it.
+/// Variance of a difference of pixels is at least this, grey levels²: whole grey levels differ by
+/// it.
 const MIN_NOISE_VAR: f32 = 1.0 / 6.0;
 /// Blocked pixels have at most this many in `failures`.
 pub(crate) const MAX_FAILURES: u8 = 100;
@@ -20,7 +21,8 @@ pub(crate) struct Arrays {
     pub(crate) idepth: Vec<f32>,
     /// Its variance, 1/u²; 0 = unknown.
     pub(crate) var: Vec<f32>,
-    /// Variance that the hypothesis brought from an earlier keyframe; infinite when it was created here.
+    /// Variance that the hypothesis brought from an earlier keyframe; infinite when it was created
+    /// here.
     pub(crate) prior_var: Vec<f32>,
     /// Variance that observations of this keyframe can reach, given what they share.
     pub(crate) floor_var: Vec<f32>,
@@ -190,7 +192,8 @@ impl DepthMap {
         &self.host
     }
 
-    /// The hypothesis of pixel `(x, y)`, honest and unsmoothed; `None` without one and outside the image.
+    /// The hypothesis of pixel `(x, y)`, honest and unsmoothed; `None` without one and outside the
+    /// image.
     #[must_use]
     pub fn at(&self, x: usize, y: usize) -> Option<DepthPixel> {
         if x >= self.host.width() || y >= self.host.height() {
@@ -234,8 +237,8 @@ impl DepthMap {
         }
     }
 
-    /// Multiplies every inverse depth by `factor` (lengths are divided by it). Ignored unless finite
-    /// and positive.
+    /// Multiplies every inverse depth by `factor` (lengths are divided by it). Ignored unless
+    /// finite and positive.
     pub fn rescale(&mut self, factor: f32) {
         if !(factor.is_finite() && factor > 0.0) {
             return;

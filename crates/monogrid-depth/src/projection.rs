@@ -2,8 +2,9 @@
 
 use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 
-/// A pixel of inverse depth `rho` is seen at `pi(K R K^-1 (x, y, 1) + rho K t / s)` with `s R, t` the source from the
-/// keyframe. In units of the keyframe: projections do not depend on those of the source, sizes shall not either.
+/// A pixel of inverse depth `rho` is seen at `pi(K R K^-1 (x, y, 1) + rho K t / s)` with `s R, t`
+/// the source from the keyframe. In units of the keyframe: projections do not depend on those of
+/// the source, sizes shall not either.
 #[derive(Debug)]
 pub(crate) struct Projection {
     /// K R K^-1, by columns.

@@ -47,9 +47,10 @@ impl LineUncertainty {
     }
 }
 
-/// Puts the parts together: of the sum of squared slopes of the patch, (grey levels per px)²; the sum of squared
-/// differences at the match and the expected variance of one, grey levels²; the geometric variance, px²; and how
-/// far the depth of the matched texture may be from the pixel's, px along the line.
+/// Puts the parts together: of the sum of squared slopes of the patch, (grey levels per px)²; the
+/// sum of squared differences at the match and the expected variance of one, grey levels²; the
+/// geometric variance, px²; and how far the depth of the matched texture may be from the pixel's,
+/// px along the line.
 #[inline]
 pub(crate) fn match_variance(
     information: f32,

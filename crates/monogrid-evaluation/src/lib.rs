@@ -2,9 +2,11 @@
 //!
 //! * [`evaluate_trajectory`]: ATE and RPE as `evo` computes them, scale drift, coverage.
 //! * [`DepthEvaluator`]: inverse depth and the honesty of its variance.
-//! * [`truth_from_triangles`], [`truth_from_points`], [`truth_from_depth_images`]: ground-truth maps.
+//! * [`truth_from_triangles`], [`truth_from_points`], [`truth_from_depth_images`]: ground-truth
+//!   maps.
 //! * [`evaluate_map`]: a map against the truth, under four policies for unknown cells.
-//! * [`align_to_surfaces`]: measured points onto the surfaces of a true map, before maps are compared.
+//! * [`align_to_surfaces`]: measured points onto the surfaces of a true map, before maps are
+//!   compared.
 //! * [`evaluate_paths`]: can a robot plan on the map, and are its plans safe?
 #![deny(missing_docs)]
 

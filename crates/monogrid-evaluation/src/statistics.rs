@@ -52,8 +52,8 @@ pub fn median(values: &[f64]) -> Option<f64> {
     }
 }
 
-/// As [`median`], of values too many to be kept: they are made anew whenever they are looked at, seven times in all, always the same in
-/// the same order.
+/// As [`median`], of values too many to be kept: they are made anew whenever they are looked at,
+/// seven times in all, always the same in the same order.
 pub(crate) fn median_of_many<I: Iterator<Item = f64>>(values: impl Fn() -> I) -> Option<f64> {
     let n = values().count();
     if n == 0 {
@@ -70,7 +70,8 @@ pub(crate) fn median_of_many<I: Iterator<Item = f64>>(values: impl Fn() -> I) ->
     Some(0.5 * (low + high.unwrap_or(low)))
 }
 
-/// As [`robust_deviation`], of values that are made anew as in [`median_of_many`], which gave `centre`.
+/// As [`robust_deviation`], of values that are made anew as in [`median_of_many`], which gave
+/// `centre`.
 pub(crate) fn robust_deviation_of_many<I: Iterator<Item = f64>>(
     values: impl Fn() -> I,
     centre: f64,

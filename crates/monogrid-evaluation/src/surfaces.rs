@@ -1,8 +1,10 @@
-//! How measured points lie on the surfaces of a true map, and the similarity that brings them there.
+//! How measured points lie on the surfaces of a true map, and the similarity that brings them
+//! there.
 //!
-//! A reference trajectory that is some centimetres off halves the score of a good map whose cells are as large. Points that were
-//! measured on surfaces know better how the map lies: the similarity is found that makes their distances to the nearest occupied cells
-//! smallest (Gauss-Newton on the distance field of the truth, Huber's weights that become narrower), started from the poses.
+//! A reference trajectory that is some centimetres off halves the score of a good map whose cells
+//! are as large. Points that were measured on surfaces know better how the map lies: the similarity
+//! is found that makes their distances to the nearest occupied cells smallest (Gauss-Newton on the
+//! distance field of the truth, Huber's weights that become narrower), started from the poses.
 
 use monogrid_geometry::{Sim3, Vec3, rotation_exp};
 use monogrid_occupancy::{DistanceConfig, DistanceField, MapError, OccupancyMap};
@@ -38,13 +40,15 @@ pub struct SurfaceAlignment {
 /// How points lie on surfaces.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct OnSurfaces {
-    /// Median distance from the nearest occupied cell, in the unit of the truth; of points that have one within twelve cells.
+    /// Median distance from the nearest occupied cell, in the unit of the truth; of points that
+    /// have one within twelve cells.
     pub median: f64,
     /// Share of all points that lie in an occupied cell or next to one.
     pub within_a_cell: f64,
 }
 
-/// The similarity that brings points onto the surfaces of a true map; no points, or points far from it, give the identity.
+/// The similarity that brings points onto the surfaces of a true map; no points, or points far from
+/// it, give the identity.
 ///
 /// # Errors
 /// A map whose distances cannot be computed.
@@ -128,7 +132,8 @@ fn cost(points: &[Vec3], correction: &Sim3, (field, cell): (&DistanceField, f64)
     points.iter().map(distance).sum::<f64>() / points.len().max(1) as f64
 }
 
-/// Distance and its slope between the centres of the eight cells around a point; `None` where one of them is too far from all surfaces.
+/// Distance and its slope between the centres of the eight cells around a point; `None` where one
+/// of them is too far from all surfaces.
 fn interpolated(field: &DistanceField, at: &Vec3, cell: f64) -> Option<(f64, Vec3)> {
     let in_cells = at / cell - Vec3::repeat(0.5);
     let low = in_cells.map(f64::floor);

@@ -10,15 +10,17 @@ pub enum ReadoutDirection {
     Down,
     /// From the bottom to the top: upside down.
     Up,
-    /// From the left to the right: the rows of the sensor are columns of the image, since the camera was held upright.
+    /// From the left to the right: the rows of the sensor are columns of the image, since the
+    /// camera was held upright.
     Right,
     /// From the right to the left: held upright the other way.
     Left,
 }
 
 impl ReadoutDirection {
-    /// What is to be expected of images of this size of which nothing else is known: sensors are wider than high, so an image
-    /// that is higher than wide was turned, nobody knows which way (a negative readout says the other one).
+    /// What is to be expected of images of this size of which nothing else is known: sensors are
+    /// wider than high, so an image that is higher than wide was turned, nobody knows which way (a
+    /// negative readout says the other one).
     #[must_use]
     pub fn of_size((width, height): (usize, usize)) -> Self {
         match height > width {
@@ -27,7 +29,8 @@ impl ReadoutDirection {
         }
     }
 
-    /// When a pixel is read, as a share of the time from the first row to the last; 0 in the middle of an image of this size.
+    /// When a pixel is read, as a share of the time from the first row to the last; 0 in the middle
+    /// of an image of this size.
     #[must_use]
     pub fn phase(self, pixel: &Vec2, size: (usize, usize)) -> f64 {
         let size = Vec2::new(size.0 as f64, size.1 as f64);

@@ -5,7 +5,8 @@ use std::ops::Mul;
 
 /// A similarity `a_from_b`: `point_in_a = scale * rotation * point_in_b + translation`.
 ///
-/// With `a` the world and `b` a keyframe, `scale` is the length of the keyframe's unit in world units.
+/// With `a` the world and `b` a keyframe, `scale` is the length of the keyframe's unit in world
+/// units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sim3 {
     /// Length of one unit of `b` in units of `a`; positive.

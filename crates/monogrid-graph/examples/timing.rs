@@ -126,8 +126,8 @@ impl Measure<'_> {
     }
 }
 
-/// A loop of 1000 keyframes with 13 edges each, as runs of `corridor-loop` have them, that has drifted by 3 % of
-/// its way; six edges between its ends close it.
+/// A loop of 1000 keyframes with 13 edges each, as runs of `corridor-loop` have them, that has
+/// drifted by 3 % of its way; six edges between its ends close it.
 fn time_closure() {
     let truth = circle();
     let mut measure = Measure {

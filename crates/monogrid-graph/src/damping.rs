@@ -27,8 +27,8 @@ impl Damping {
         self.growth = 2.0;
     }
 
-    /// After a step that did not lower the true cost, or could not be computed. Returns whether it is
-    /// worth trying again.
+    /// After a step that did not lower the true cost, or could not be computed. Returns whether it
+    /// is worth trying again.
     pub(crate) fn reject(&mut self) -> bool {
         self.lambda *= self.growth;
         self.growth *= 2.0;

@@ -12,10 +12,11 @@
 //! The information of `EDGE_SIM3:QUAT` is that of a **left** update `[v, w, s]` of `i_from_j` (see
 //! [`crate::pose_graph`]). Robust kernels have no place in the format.
 //!
-//! `VERTEX_SE3:QUAT` and `EDGE_SE3:QUAT` are read as g2o defines them: the 6x6 information belongs to
-//! `[t, q_xyz]` of `M^-1 T_i^-1 T_j`, and is moved to the left side and to rotation vectors to first
-//! order. Such an edge holds the ratio of the two scales at one with [`RIGID_SCALE_SIGMA`]. When every scale
-//! is one, [`write_rigid`] writes these records, for viewers and solvers without similarities.
+//! `VERTEX_SE3:QUAT` and `EDGE_SE3:QUAT` are read as g2o defines them: the 6x6 information belongs
+//! to `[t, q_xyz]` of `M^-1 T_i^-1 T_j`, and is moved to the left side and to rotation vectors to
+//! first order. Such an edge holds the ratio of the two scales at one with [`RIGID_SCALE_SIGMA`].
+//! When every scale is one, [`write_rigid`] writes these records, for viewers and solvers without
+//! similarities.
 
 use crate::RobustKernel;
 use crate::pose_graph::{GraphEdge, GraphNode, PoseGraph, PoseGraphError};
@@ -89,8 +90,8 @@ pub fn write(graph: &PoseGraph) -> String {
     out
 }
 
-/// The text of a graph with `SE3` records: scales are dropped, translations are written in world units
-/// at the present scale of keyframe `i`.
+/// The text of a graph with `SE3` records: scales are dropped, translations are written in world
+/// units at the present scale of keyframe `i`.
 #[must_use]
 pub fn write_rigid(graph: &PoseGraph) -> String {
     let mut out = String::new();
@@ -284,7 +285,8 @@ impl<'a> Record<'a> {
     }
 }
 
-/// Information of a left update from that of g2o's `[t, q_xyz]` on the right: `e = D^-1 Ad(M^-1) r`.
+/// Information of a left update from that of g2o's `[t, q_xyz]` on the right:
+/// `e = D^-1 Ad(M^-1) r`.
 fn rigid_information(right: &Mat7, measured: &Se3) -> Mat7 {
     let right: Mat6 = right.fixed_view::<6, 6>(0, 0).into_owned();
     let halve = Mat6::from_diagonal(&quaternion_to_vector().diagonal().map(|x| 1.0 / x));

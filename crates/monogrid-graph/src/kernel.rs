@@ -21,8 +21,8 @@ pub enum RobustKernel {
         scale: f64,
     },
     /// Dynamic covariance scaling (Agarwal et al., ICRA 2013), the closed form of switchable
-    /// constraints: quadratic up to `s = phi`, then bounded by `3 phi`, so that a wrong loop closure
-    /// is switched off.
+    /// constraints: quadratic up to `s = phi`, then bounded by `3 phi`, so that a wrong loop
+    /// closure is switched off.
     DynamicCovariance {
         /// Switching threshold on the squared residual.
         phi: f64,

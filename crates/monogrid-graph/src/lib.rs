@@ -6,8 +6,8 @@
 //! * [`pose_graph`]: similarities between keyframes, optimised against drift and wrong closures.
 //!
 //! Conventions are those of [`monogrid_geometry`]: `a_from_b`, tangents `[v, w]` and `[v, w, s]`,
-//! updates on the left. Every solver is deterministic, whatever the number of threads, and descends on the true
-//! robust cost.
+//! updates on the left. Every solver is deterministic, whatever the number of threads, and descends
+//! on the true robust cost.
 #![deny(missing_docs)]
 
 mod blocks;

@@ -1,7 +1,7 @@
 //! One camera pose from points with known positions: robust, with covariance.
 //!
-//! Levenberg-Marquardt on the reprojection error with a robust kernel, then again on the inliers alone,
-//! so that a redescending decision follows the convex one.
+//! Levenberg-Marquardt on the reprojection error with a robust kernel, then again on the inliers
+//! alone, so that a redescending decision follows the convex one.
 
 use crate::RobustKernel;
 use crate::damping::Damping;
@@ -23,7 +23,8 @@ pub struct MapMatch {
 /// Settings of [`refine_pose`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseOnlyConfig {
-    /// Kernel of the first round, on the error in standard deviations. Default: Huber at `sqrt(5.99)`.
+    /// Kernel of the first round, on the error in standard deviations. Default: Huber at
+    /// `sqrt(5.99)`.
     pub kernel: RobustKernel,
     /// Accepted steps at most, per round. Default 10.
     pub max_iterations: usize,
@@ -68,8 +69,8 @@ pub enum PoseOutcome {
 pub struct PoseOnlySolution {
     /// The pose.
     pub camera_from_world: Se3,
-    /// Covariance of its left update `[v, w]` from the inliers and their stated sigmas; zero unless the
-    /// outcome is [`PoseOutcome::Good`].
+    /// Covariance of its left update `[v, w]` from the inliers and their stated sigmas; zero unless
+    /// the outcome is [`PoseOutcome::Good`].
     pub covariance: Mat6,
     /// Per match whether it is an inlier.
     pub inliers: Vec<bool>,
@@ -104,8 +105,8 @@ pub enum PoseOnlyError {
 /// Refines `camera_from_world` so that the matches reproject. Linear in the matches.
 ///
 /// # Errors
-/// When there are fewer than 3 matches or a value is invalid. A pose that cannot be believed is no error
-/// but a [`PoseOutcome`].
+/// When there are fewer than 3 matches or a value is invalid. A pose that cannot be believed is no
+/// error but a [`PoseOutcome`].
 pub fn refine_pose(
     camera_from_world: &Se3,
     pinhole: &Pinhole,
@@ -175,8 +176,8 @@ fn validate(
     Ok(())
 }
 
-/// Inverse of an information matrix whose translation and rotation have different units; `None` when a
-/// direction is undetermined.
+/// Inverse of an information matrix whose translation and rotation have different units; `None`
+/// when a direction is undetermined.
 fn invert_information(h: &Mat6) -> Option<Mat6> {
     let scale = Vec6::from_fn(|i, _| 1.0 / h[(i, i)].sqrt());
     if !scale.iter().all(|x| x.is_finite()) {

@@ -6,8 +6,8 @@ use nalgebra::{Matrix2x3, Matrix2x6};
 /// Depth below which a point counts as not in front of the camera, relative to its distance.
 const MIN_FORWARD: f64 = 1e-3;
 
-/// Squared residual, in standard deviations, charged for a point that is not in front of the camera, and
-/// at most for any other: large enough that no step gains by moving points there.
+/// Squared residual, in standard deviations, charged for a point that is not in front of the
+/// camera, and at most for any other: large enough that no step gains by moving points there.
 pub(crate) const BEHIND_CHI2: f64 = 1e6;
 
 /// Pixel of a scaled point `q`, unless it is not in front of the camera.

@@ -1,8 +1,8 @@
 //! Inverse left Jacobian of the logarithm on Sim(3).
 //!
 //! `log(exp(d) T) = log(T) + J_l^-1(log T) d` to first order, with
-//! `J_l(x) = sum ad(x)^n / (n + 1)!` for any Lie group. LSD-SLAM puts the identity in its place, which
-//! is wrong by half the residual and stalls loops with a large error.
+//! `J_l(x) = sum ad(x)^n / (n + 1)!` for any Lie group. LSD-SLAM puts the identity in its place,
+//! which is wrong by half the residual and stalls loops with a large error.
 
 use monogrid_geometry::{Mat7, Vec3, Vec7, hat};
 

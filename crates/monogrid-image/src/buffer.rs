@@ -29,7 +29,8 @@ impl<T: Copy> Image<T> {
         }
     }
 
-    /// An image from its pixels in row-major order; `None` unless there are `width * height` of them.
+    /// An image from its pixels in row-major order; `None` unless there are `width * height` of
+    /// them.
     #[must_use]
     pub fn from_vec(width: usize, height: usize, data: Vec<T>) -> Option<Self> {
         (data.len() == width * height).then_some(Self {
@@ -122,7 +123,8 @@ impl<T: Copy> Image<T> {
 }
 
 impl GrayImage {
-    /// A grey image from 8-bit grey values in row-major order; `None` unless there are `width * height` of them.
+    /// A grey image from 8-bit grey values in row-major order; `None` unless there are
+    /// `width * height` of them.
     #[must_use]
     pub fn from_gray8(width: usize, height: usize, values: &[u8]) -> Option<Self> {
         Self::from_vec(
@@ -150,7 +152,8 @@ pub fn luma_of_rgb(rgb: [u8; 3]) -> u8 {
     ((299 * r + 587 * g + 114 * b + 500) / 1000) as u8
 }
 
-/// A grey value rounded to 8 bits: what `round` and a conversion give, without a call for each pixel.
+/// A grey value rounded to 8 bits: what `round` and a conversion give, without a call for each
+/// pixel.
 #[must_use]
 #[inline]
 pub fn to_gray8(value: f32) -> u8 {
@@ -173,7 +176,8 @@ pub fn bilinear(image: &GrayImage, x: f32, y: f32) -> Option<f32> {
     })
 }
 
-/// The same at a place that is known to be inside, of an image of at least two pixels in both directions.
+/// The same at a place that is known to be inside, of an image of at least two pixels in both
+/// directions.
 #[must_use]
 #[inline]
 pub fn bilinear_inside(image: &GrayImage, x: f32, y: f32) -> f32 {
@@ -187,8 +191,9 @@ pub fn bilinear_inside(image: &GrayImage, x: f32, y: f32) -> f32 {
     top + fy * (bottom - top)
 }
 
-/// Values at eight places `(x, y)` by cubic convolution (Keys 1981, a = -1/2), which blurs less than [`bilinear`]; outside the
-/// image its border goes on. Within the range of the 16 pixels around, so that edges do not ring.
+/// Values at eight places `(x, y)` by cubic convolution (Keys 1981, a = -1/2), which blurs less
+/// than [`bilinear`]; outside the image its border goes on. Within the range of the 16 pixels
+/// around, so that edges do not ring.
 #[must_use]
 #[inline(always)]
 pub fn bicubic<L: Lanes>(lanes: L, image: &GrayImage, xs: &[f32; 8], ys: &[f32; 8]) -> [f32; 8] {
@@ -208,8 +213,8 @@ pub fn bicubic<L: Lanes>(lanes: L, image: &GrayImage, xs: &[f32; 8], ys: &[f32; 
     apart(image, lefts, tops, [across, down])
 }
 
-/// Values at eight places that follow each other, the first after the pixel `left` of row `top`: their samples do so too,
-/// and lie in the lanes in which their places do.
+/// Values at eight places that follow each other, the first after the pixel `left` of row `top`:
+/// their samples do so too, and lie in the lanes in which their places do.
 #[inline(always)]
 fn abreast<L: Lanes>(
     lanes: L,
@@ -295,7 +300,8 @@ fn samples_inside(image: &GrayImage, (left, top): (usize, usize)) -> [f32x4; 4] 
     [samples(0), samples(1), samples(2), samples(3)]
 }
 
-/// The sixteen samples around the place between this pixel and the next ones; those beyond the border are those at it.
+/// The sixteen samples around the place between this pixel and the next ones; those beyond the
+/// border are those at it.
 #[cold]
 fn samples_at_border(image: &GrayImage, (left, top): (usize, usize)) -> [f32x4; 4] {
     let (w, h) = (image.width, image.height);
@@ -313,7 +319,8 @@ fn sum_of_lanes(vectors: [f32x4; 4]) -> f32x4 {
     a + b + c + d
 }
 
-/// The pixels before eight places on a line of this many pixels, and the weights of the samples at -1, 0, 1, 2, places in the lanes.
+/// The pixels before eight places on a line of this many pixels, and the weights of the samples at
+/// -1, 0, 1, 2, places in the lanes.
 #[inline(always)]
 fn cubic_weights<L: Lanes>(lanes: L, places: &[f32; 8], length: usize) -> ([i32; 8], [L::F32; 4]) {
     let last = lanes.splat(length as f32 - 1.0);
@@ -347,7 +354,8 @@ pub struct Resize {
 }
 
 /// Resamples by averaging the area that each output pixel covers (exact box filter), which neither
-/// aliases nor shifts the image. Pixels are finite: others may spread to the pixels beside those that cover them.
+/// aliases nor shifts the image. Pixels are finite: others may spread to the pixels beside those
+/// that cover them.
 #[must_use]
 pub fn resize_area(image: &GrayImage, size: Resize) -> GrayImage {
     if size.width == image.width && size.height == image.height {
@@ -385,7 +393,8 @@ fn averages_with<L: Lanes>(_: L, image: &GrayImage, size: Resize) -> GrayImage {
     let columns = Areas::new(image.width, size.width);
     let rows = Areas::new(image.height, size.height);
     let mut output = Image::filled(size.width, size.height, 0.0f32);
-    // down before across: whole rows are added, and fewer are left; some weights of 0 are for what is beyond the end
+    // down before across: whole rows are added, and fewer are left; some weights of 0 are for what
+    // is beyond the end
     let mut line = vec![0.0f32; image.width + columns.most];
     for (y, (first, weights)) in rows.iter().enumerate() {
         let covered = (first..image.height).zip(weights);
@@ -409,8 +418,8 @@ fn averages_with<L: Lanes>(_: L, image: &GrayImage, size: Resize) -> GrayImage {
     output
 }
 
-/// For each output pixel of a line the first input pixel that it covers and the normalised overlap with each; 0 with those that are only
-/// there since other pixels cover more.
+/// For each output pixel of a line the first input pixel that it covers and the normalised overlap
+/// with each; 0 with those that are only there since other pixels cover more.
 struct Areas {
     first: Vec<usize>,
     weights: Vec<f32>,

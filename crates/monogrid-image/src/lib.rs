@@ -1,4 +1,5 @@
-//! Image buffers, sampling, gradients, pyramids, undistortion and photometric correction; vectors of eight for inner loops.
+//! Image buffers, sampling, gradients, pyramids, undistortion and photometric correction; vectors
+//! of eight for inner loops.
 //!
 //! Images are contiguous, row-major, of any width; the centre of the top-left pixel is (0, 0).
 //! Grey values are `f32` in [0, 255] whatever the bit depth of the file.

@@ -50,7 +50,8 @@ impl WorkingSize {
 /// Where an output pixel is read: between four pixels of the reduced image.
 #[derive(Clone, Copy, Debug)]
 struct Tap {
-    /// Index of the upper left of the four, [`Tap::OUTSIDE`] when the image does not show the place.
+    /// Index of the upper left of the four, [`Tap::OUTSIDE`] when the image does not show the
+    /// place.
     index: u32,
     /// Fractions of a pixel to the right and down, [0, 1].
     fraction: [f32; 2],
@@ -59,8 +60,8 @@ struct Tap {
 impl Tap {
     const OUTSIDE: u32 = u32::MAX;
 
-    /// The tap at `(x, y)` of an image of the given size; outside the square of pixel centres, or when
-    /// not a number, it is none.
+    /// The tap at `(x, y)` of an image of the given size; outside the square of pixel centres, or
+    /// when not a number, it is none.
     fn new(x: f64, y: f64, size: Resize) -> Self {
         let (x, y) = (x as f32, y as f32);
         let (right, bottom) = (size.width as f32 - 1.0, size.height as f32 - 1.0);
@@ -110,17 +111,18 @@ pub struct Undistorter {
     crop: (usize, usize, usize, usize),
     /// Size after area averaging, before remapping.
     reduced: Resize,
-    /// Where each output pixel is read in the reduced image; empty when nothing is to be resampled. Copies of
-    /// the mapping share it.
+    /// Where each output pixel is read in the reduced image; empty when nothing is to be resampled.
+    /// Copies of the mapping share it.
     remap: Arc<[Tap]>,
     mask: Mask,
 }
 
-/// Tangent of the largest angle from the axis that the working image shows on each side (60 degrees).
+/// Tangent of the largest angle from the axis that the working image shows on each side (60
+/// degrees).
 ///
-/// A pinhole image stretches the rim without bound: at 60 degrees a pixel of the rim covers a quarter
-/// of the angle of one in the centre, and a fisheye shown whole would leave the centre, which
-/// tracking lives on, a few dozen pixels.
+/// A pinhole image stretches the rim without bound: at 60 degrees a pixel of the rim covers a
+/// quarter of the angle of one in the centre, and a fisheye shown whole would leave the centre,
+/// which tracking lives on, a few dozen pixels.
 const MAX_HALF_ANGLE_TAN: f64 = 1.732;
 
 /// Pixels by which the valid area is eroded, so that no gradient sees the border.
@@ -287,7 +289,8 @@ fn centred_crop(input: &Camera, width: usize, height: usize) -> (usize, usize, u
 /// A pinhole camera of the given size whose border midpoints see inside the input image ("crop").
 ///
 /// The midpoints of the four borders of the input are undistorted; the output's borders lie on the
-/// innermost of them, as in PTAM's and LSD-SLAM's crop mode, but at most [`MAX_HALF_ANGLE_TAN`] wide.
+/// innermost of them, as in PTAM's and LSD-SLAM's crop mode, but at most [`MAX_HALF_ANGLE_TAN`]
+/// wide.
 fn inscribed_pinhole(
     input: &Camera,
     crop: &(usize, usize, usize, usize),

@@ -1,5 +1,5 @@
-//! Readings between two times as one measurement, after Forster, Carlone, Dellaert and Scaramuzza, "On-manifold
-//! preintegration for real-time visual-inertial odometry", 2017.
+//! Readings between two times as one measurement, after Forster, Carlone, Dellaert and Scaramuzza,
+//! "On-manifold preintegration for real-time visual-inertial odometry", 2017.
 
 use crate::{GRAVITY_M_S2, Imu, ImuNoise, Step};
 use monogrid_geometry::nalgebra::{SMatrix, SVector};
@@ -17,7 +17,8 @@ pub struct Bias {
 /// Error of an increment: rotation (right of it, rad), velocity (m/s), position (m).
 type Error = SVector<f64, 9>;
 
-/// The motion of the sensor between two times, in its frame at the first, without gravity and without what it moved at before.
+/// The motion of the sensor between two times, in its frame at the first, without gravity and
+/// without what it moved at before.
 #[derive(Clone, Copy, Debug)]
 pub struct Preintegrated {
     /// Length in time, s.
@@ -32,7 +33,8 @@ pub struct Preintegrated {
     pub bias: Bias,
     /// Covariance of rotation (right, rad), velocity and position.
     pub covariance: SMatrix<f64, 9, 9>,
-    /// Change of rotation (right, rad), velocity and position with the bias of gyroscope and accelerometer.
+    /// Change of rotation (right, rad), velocity and position with the bias of gyroscope and
+    /// accelerometer.
     pub by_bias: SMatrix<f64, 9, 6>,
 }
 
@@ -61,8 +63,8 @@ impl Preintegrated {
         Some(sum)
     }
 
-    /// Adds a step: equations 30 to 33 and 59 to 63, with the orientation in the middle of the step in place of that at its
-    /// beginning, since readings are means over it.
+    /// Adds a step: equations 30 to 33 and 59 to 63, with the orientation in the middle of the step
+    /// in place of that at its beginning, since readings are means over it.
     pub fn add(&mut self, step: &Step, noise: &ImuNoise) {
         let secs = step.secs;
         if secs <= 0.0 {
@@ -164,8 +166,8 @@ impl Preintegrated {
         )
     }
 
-    /// Orientation, velocity and position at the second time from those at the first, in a world in which gravity pulls
-    /// along `down` (a unit vector).
+    /// Orientation, velocity and position at the second time from those at the first, in a world in
+    /// which gravity pulls along `down` (a unit vector).
     #[must_use]
     pub fn predict(
         &self,

@@ -27,7 +27,8 @@ pub struct ImuNoise {
 }
 
 impl Default for ImuNoise {
-    /// A sensor of a phone (Bosch BMI160), by the values that Schubert et al. 2018 (the TUM VI benchmark) give for estimators.
+    /// A sensor of a phone (Bosch BMI160), by the values that Schubert et al. 2018 (the TUM VI
+    /// benchmark) give for estimators.
     fn default() -> Self {
         Self {
             gyroscope: 1.6e-4,
@@ -65,7 +66,8 @@ const MAX_GAP_NS: i64 = 60_000_000;
 const MAX_HELD_NS: i64 = 10_000_000;
 
 impl Imu {
-    /// Sorts the samples by time; of equal times the first counts, and readings that are not finite do not.
+    /// Sorts the samples by time; of equal times the first counts, and readings that are not finite
+    /// do not.
     #[must_use]
     pub fn new(mut samples: Vec<ImuSample>, noise: ImuNoise, imu_from_camera: Se3) -> Self {
         samples.retain(is_finite);
@@ -78,7 +80,8 @@ impl Imu {
         }
     }
 
-    /// Adds readings as they come; late ones go where they belong, and of those of a time that is known already the earlier counts.
+    /// Adds readings as they come; late ones go where they belong, and of those of a time that is
+    /// known already the earlier counts.
     pub fn add(&mut self, samples: &[ImuSample]) {
         for sample in samples.iter().filter(|sample| is_finite(sample)) {
             let time = |sample: &ImuSample| sample.timestamp_ns;
@@ -100,8 +103,8 @@ impl Imu {
         &self.samples
     }
 
-    /// The readings between two times, interpolated linearly; `None` where more than 60 ms of them are missing
-    /// between, or 10 ms at an end.
+    /// The readings between two times, interpolated linearly; `None` where more than 60 ms of them
+    /// are missing between, or 10 ms at an end.
     #[must_use]
     pub fn steps(&self, from_ns: i64, to_ns: i64) -> Option<impl Iterator<Item = Step> + '_> {
         let first = self.before(from_ns);
@@ -135,7 +138,8 @@ impl Imu {
         }))
     }
 
-    /// How the camera turned between two times by the gyroscope alone: `later_from_earlier`. `None` without readings.
+    /// How the camera turned between two times by the gyroscope alone: `later_from_earlier`. `None`
+    /// without readings.
     #[must_use]
     pub fn camera_turn(&self, from_ns: i64, to_ns: i64, gyroscope_bias: &Vec3) -> Option<Rotation> {
         let (earlier, later) = (from_ns.min(to_ns), from_ns.max(to_ns));

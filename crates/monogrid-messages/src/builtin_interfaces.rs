@@ -14,7 +14,8 @@ pub struct Time {
 const NANOSECONDS: i64 = 1_000_000_000;
 
 impl Time {
-    /// The moment at so many nanoseconds; those that 32 bits of seconds cannot hold become the nearest that they can.
+    /// The moment at so many nanoseconds; those that 32 bits of seconds cannot hold become the
+    /// nearest that they can.
     #[must_use]
     pub fn from_nanoseconds(nanoseconds: i64) -> Self {
         let sec = nanoseconds.div_euclid(NANOSECONDS);

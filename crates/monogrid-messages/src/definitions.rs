@@ -1,4 +1,5 @@
-//! Interface definitions, as files of messages carry them so that whoever reads them needs nothing else.
+//! Interface definitions, as files of messages carry them so that whoever reads them needs nothing
+//! else.
 
 use crate::RosMessage;
 
@@ -50,8 +51,8 @@ fn fields_of(name: &str) -> Option<&'static str> {
 const SEPARATOR: &str =
     "================================================================================\n";
 
-/// The definition of a message followed by those of all types that it uses, as MCAP files have it (`ros2msg`); `None` of messages
-/// that this project writes into no file.
+/// The definition of a message followed by those of all types that it uses, as MCAP files have it
+/// (`ros2msg`); `None` of messages that this project writes into no file.
 #[must_use]
 pub fn definition<M: RosMessage>() -> Option<String> {
     let mut text = String::new();

@@ -1,8 +1,9 @@
 //! Messages of ROS 2 as plain structs: as many as a camera needs to become a map.
 //!
-//! The fields stand in the order of the interface definitions (`common_interfaces`, `map_msgs`, `octomap_msgs`,
-//! `geometry2`) with the names that these give them, so that [`cdr`], which writes fields one after the other, gives what
-//! every other ROS program reads. Nothing here knows of a middleware, a file or the rest of the project.
+//! The fields stand in the order of the interface definitions (`common_interfaces`, `map_msgs`,
+//! `octomap_msgs`, `geometry2`) with the names that these give them, so that [`cdr`], which writes
+//! fields one after the other, gives what every other ROS program reads. Nothing here knows of a
+//! middleware, a file or the rest of the project.
 //!
 //! ```
 //! use monogrid_messages::{RosMessage, sensor_msgs::Image};

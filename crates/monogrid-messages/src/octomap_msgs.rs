@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 pub struct Octomap {
     /// Time, and the frame.
     pub header: Header,
-    /// Whether cells are free or occupied only, as in `.bt` files; else they have log-odds, as in `.ot` files.
+    /// Whether cells are free or occupied only, as in `.bt` files; else they have log-odds, as in
+    /// `.ot` files.
     pub binary: bool,
     /// Class of the tree: `OcTree`.
     pub id: String,

@@ -81,7 +81,8 @@ pub struct CameraInfo {
 }
 ros_message!("sensor_msgs", CameraInfo);
 
-/// A reading of an inertial sensor, along its axes. A covariance that begins with -1 says that there is no such value.
+/// A reading of an inertial sensor, along its axes. A covariance that begins with -1 says that
+/// there is no such value.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Imu {
     /// Time, and the frame of the sensor.

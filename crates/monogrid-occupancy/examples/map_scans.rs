@@ -1,10 +1,12 @@
 //! Maps a `.scans` file and prints what it cost, comparable with `bench/octomap_baseline`.
 //!
 //! `cargo run --release -p monogrid-occupancy --example map_scans -- office.scans 0.032
-//!  [rule=rays|fused] [L=0.08] [threads=1] [max_range=100] [scans=N] [single=1] [image=1] [out=map.ot]`
+//! [rule=rays|fused] [L=0.08] [threads=1] [max_range=100] [scans=N] [single=1] [image=1]
+//! [out=map.ot]`
 //!
-//! With `single=1` every scan is a call of its own, as of a robot that maps while it drives. With `image=1`
-//! the points are put back into the depth images of 640 x 480 pixels that they are of (`generate_scans.py`), outside of the timing.
+//! With `single=1` every scan is a call of its own, as of a robot that maps while it drives. With
+//! `image=1` the points are put back into the depth images of 640 x 480 pixels that they are of
+//! (`generate_scans.py`), outside of the timing.
 #![allow(clippy::print_stdout, reason = "an example program talks to its user")]
 
 use std::error::Error;

@@ -5,8 +5,9 @@ use crate::map::OccupancyMap;
 use crate::scan::dot;
 
 impl OccupancyMap {
-    /// Makes the cells whose centres lie within `radius` of a path, and those that the path's points lie in, as free as
-    /// cells can be, whatever was measured: where a body was there is no obstacle. The points are joined by straight lines.
+    /// Makes the cells whose centres lie within `radius` of a path, and those that the path's
+    /// points lie in, as free as cells can be, whatever was measured: where a body was there is no
+    /// obstacle. The points are joined by straight lines.
     ///
     /// # Errors
     /// The memory budget is exhausted.

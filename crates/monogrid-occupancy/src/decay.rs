@@ -1,9 +1,9 @@
 //! Forgetting: evidence that no scan renews relaxes towards unknown.
 //!
-//! Free rays clear what is gone where something behind it is seen. What is never looked at again, or
-//! only against the open, stays for ever, unless it decays. A map that was loaded is never forgotten:
-//! evidence relaxes towards the loaded map, so its cells change by scans and come back when those
-//! fade.
+//! Free rays clear what is gone where something behind it is seen. What is never looked at again,
+//! or only against the open, stays for ever, unless it decays. A map that was loaded is never
+//! forgotten: evidence relaxes towards the loaded map, so its cells change by scans and come back
+//! when those fade.
 //!
 //! This is for maps that are fed by [`integrate`](crate::integrate). A
 //! [`KeyframeMap`](crate::KeyframeMap) always equals a map from scratch of the keyframes it has and
@@ -166,7 +166,8 @@ struct Relaxation {
 }
 
 impl Relaxation {
-    /// `rest + kept (value - rest)`, rounded towards rest; unknown where rest is and little is left.
+    /// `rest + kept (value - rest)`, rounded towards rest; unknown where rest is and little is
+    /// left.
     fn value(&self, value: i16, rest: i16) -> i16 {
         if value == UNKNOWN {
             return UNKNOWN;

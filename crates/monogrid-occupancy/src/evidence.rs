@@ -113,11 +113,13 @@ impl Limits {
     }
 }
 
-/// How a measurement changes a cell: within the limits of the map, and no farther than so many times the update.
+/// How a measurement changes a cell: within the limits of the map, and no farther than so many
+/// times the update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct UpdateRule {
     pub limits: Limits,
-    /// Multiples of an update that a cell is brought to at most, by updates for free and for occupied.
+    /// Multiples of an update that a cell is brought to at most, by updates for free and for
+    /// occupied.
     bounds: [i32; 2],
 }
 

@@ -4,8 +4,9 @@
     reason = "instructions that not every processor has, asked for before"
 )]
 
-/// Defines a function that runs on wider vectors where the processor has them. The results are the same bits: the operations are those
-/// of IEEE in the order in which they are written, and none are joined.
+/// Defines a function that runs on wider vectors where the processor has them. The results are the
+/// same bits: the operations are those of IEEE in the order in which they are written, and none are
+/// joined.
 macro_rules! for_avx2 {
     ($(#[$doc:meta])* $vis:vis fn $name:ident($($argument:ident: $type:ty),* $(,)?) $(-> $returned:ty)? $body:block) => {
         $(#[$doc])*

@@ -28,7 +28,8 @@ impl VoxelKey {
         Self { x, y, z }
     }
 
-    /// The first cell of an octant of the cube that begins here; the octants have edges of `half` cells.
+    /// The first cell of an octant of the cube that begins here; the octants have edges of `half`
+    /// cells.
     #[inline]
     pub(crate) const fn of_octant(self, octant: i32, half: i32) -> Self {
         self.moved([

@@ -20,9 +20,10 @@
 //! # }
 //! ```
 //!
-//! Depth images are [`ScanData::Image`] as they come, holes included, [`ScanData::Depth`] if few pixels have a depth. The examples `lidar` and `depth_camera` are
-//! whole programs. Scans of a few lone points are for [`IntegrationRule::Rays`]: the default rule may
-//! miss a point with no others in the directions around it.
+//! Depth images are [`ScanData::Image`] as they come, holes included, [`ScanData::Depth`] if few
+//! pixels have a depth. The examples `lidar` and `depth_camera` are whole programs. Scans of a few
+//! lone points are for [`IntegrationRule::Rays`]: the default rule may miss a point with no others
+//! in the directions around it.
 //!
 //! # Questions
 //!
@@ -64,14 +65,15 @@
 //! [`OccupancyMap::merge`], [`OccupancyMap::cropped`], [`OccupancyMap::within`] and
 //! [`OccupancyMap::transformed`] make maps from maps. Files are OctoMap's `.ot` ([`read_ot`],
 //! [`write_ot`]) and `.bt` ([`read_bt`], [`write_bt`]), the exact and small `.mgo` ([`read_mgo`],
-//! [`write_mgo`]; [`read_map`] tells them apart), and point clouds ([`write_ply`], [`write_pcd`]). Writers stream; readers are
-//! given a memory budget and take any bytes without a panic. [`save_atomically`] keeps the old
-//! file until the new one is on disk.
+//! [`write_mgo`]; [`read_map`] tells them apart), and point clouds ([`write_ply`], [`write_pcd`]).
+//! Writers stream; readers are given a memory budget and take any bytes without a panic.
+//! [`save_atomically`] keeps the old file until the new one is on disk.
 //!
-//! [`OccupancyMap::pack`] makes a finished map two thirds smaller in memory without changing a cell.
+//! [`OccupancyMap::pack`] makes a finished map two thirds smaller in memory without changing a
+//! cell.
 //!
-//! Free rays clear what is gone; [`Decay`] forgets what is never looked at again, down to the map that
-//! was loaded.
+//! Free rays clear what is gone; [`Decay`] forgets what is never looked at again, down to the map
+//! that was loaded.
 //!
 //! Conventions: cell boundaries lie on multiples of the resolution, as in OctoMap; all lengths
 //! are in map units (metres, if the poses and measurements are); sensors look along +z.

@@ -1,4 +1,5 @@
-//! The maximum-likelihood form of a map: every known cell is either free or occupied, without degrees.
+//! The maximum-likelihood form of a map: every known cell is either free or occupied, without
+//! degrees.
 
 use crate::evidence::{Limits, Occupancy, UNKNOWN};
 use crate::map::OccupancyMap;

@@ -19,7 +19,8 @@ pub struct MapConfig {
     /// Cells at least this likely are occupied, in (0, 1). Default 0.5.
     pub occupancy_threshold: f64,
     /// Most bytes that the map may allocate; changes that could need more fail before they touch
-    /// the map (where it helps, [`integrate`](crate::integrate) packs the map first). Default 8 GiB.
+    /// the map (where it helps, [`integrate`](crate::integrate) packs the map first). Default 8
+    /// GiB.
     pub memory_budget_bytes: usize,
 }
 
@@ -207,7 +208,8 @@ impl OccupancyMap {
         self.modify(key, |_| value)
     }
 
-    /// As [`OccupancyMap::set_log_odds`], for the 512 cells of a brick at once: what `log_odds` says of each.
+    /// As [`OccupancyMap::set_log_odds`], for the 512 cells of a brick at once: what `log_odds`
+    /// says of each.
     ///
     /// # Errors
     /// The memory budget is exhausted.
@@ -381,8 +383,8 @@ impl OccupancyMap {
         for_each(&mut self.shards, threads, |_, shard| shard.pack());
     }
 
-    /// Packs the map after it refused to grow, if an eighth of the memory budget or more is in bricks
-    /// that are not packed. Otherwise gives back the error.
+    /// Packs the map after it refused to grow, if an eighth of the memory budget or more is in
+    /// bricks that are not packed. Otherwise gives back the error.
     pub(crate) fn pack_for_budget(
         &mut self,
         error: MapError,

@@ -1,10 +1,10 @@
 //! The map seen as OctoMap's pruned octree, without ever building one.
 //!
 //! The Morton code of a node is that of its parent and three bits for the octant (bit 0 x, bit 1 y,
-//! bit 2 z, as OctoMap). A brick is the subtree of 8 x 8 x 8 cells at OctoMap's level 3. Above bricks,
-//! nodes are kept as lists sorted by their codes, one list per level: some bytes per brick, nothing
-//! per cell. Eight known leaves of equal value under one parent are one leaf (pruning); the value of
-//! an inner node is the largest value below it.
+//! bit 2 z, as OctoMap). A brick is the subtree of 8 x 8 x 8 cells at OctoMap's level 3. Above
+//! bricks, nodes are kept as lists sorted by their codes, one list per level: some bytes per brick,
+//! nothing per cell. Eight known leaves of equal value under one parent are one leaf (pruning); the
+//! value of an inner node is the largest value below it.
 
 use crate::error::MapError;
 use crate::evidence::{UNKNOWN, log_odds_from_evidence};

@@ -144,7 +144,8 @@ pub struct DepthScan<'a> {
 
 /// A complete depth image as a camera delivers it (axes as of [`DepthScan`]).
 ///
-/// The rule `fused` takes it as an image: no point is made of a pixel, and of pixels much finer than cells some stand for all.
+/// The rule `fused` takes it as an image: no point is made of a pixel, and of pixels much finer
+/// than cells some stand for all.
 #[derive(Clone, Copy, Debug)]
 pub struct DepthImage<'a> {
     /// Image width in pixels.
@@ -159,7 +160,8 @@ pub struct DepthImage<'a> {
     pub cx: f64,
     /// Principal point along y in pixels.
     pub cy: f64,
-    /// Depths along the optical axis in sensor units, row by row; what is not positive and finite is no measurement.
+    /// Depths along the optical axis in sensor units, row by row; what is not positive and finite
+    /// is no measurement.
     pub depths: &'a [f32],
     /// Standard deviation of each range in sensor units, or one value for all.
     pub sigmas: &'a [f32],
@@ -202,7 +204,8 @@ pub struct Scan<'a> {
 }
 
 impl<'a> Scan<'a> {
-    /// Points in the sensor frame with the standard deviation of each range (or one for all), from an exact pose.
+    /// Points in the sensor frame with the standard deviation of each range (or one for all), from
+    /// an exact pose.
     #[must_use]
     pub fn of_points(
         id: u32,

@@ -33,8 +33,8 @@ fn cpu(_: bool) -> Duration {
     START.get_or_init(Instant::now).elapsed()
 }
 
-/// Lets other threads go first where there are not enough processors for all: for work that may wait.
-/// Has no effect where priorities belong to processes.
+/// Lets other threads go first where there are not enough processors for all: for work that may
+/// wait. Has no effect where priorities belong to processes.
 pub(crate) fn give_way() {
     /// The lowest priority: 10 let tracking beside map updates keep 68 % of its rate, this 80 %.
     #[cfg(target_os = "linux")]

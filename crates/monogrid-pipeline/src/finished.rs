@@ -1,4 +1,5 @@
-//! What is left of a pipeline that has ended: path, poses, and the final maps, which are made when somebody wants them.
+//! What is left of a pipeline that has ended: path, poses, and the final maps, which are made when
+//! somebody wants them.
 
 use crate::pipeline::PipelineError;
 use monogrid_geometry::{Sim3, Vec3};
@@ -21,7 +22,8 @@ pub struct Cpu {
 /// A pipeline that has ended.
 #[derive(Debug)]
 pub struct Finished {
-    /// The system, which holds the finished keyframes, and no longer what only more frames would need.
+    /// The system, which holds the finished keyframes, and no longer what only more frames would
+    /// need.
     pub slam: Slam,
     /// How large the map was after the last frame.
     pub map_size: MapSize,
@@ -42,8 +44,8 @@ pub struct Finished {
 }
 
 impl Finished {
-    /// What an inertial sensor says of the frame of the settings; `None` without one, or where nothing follows from its
-    /// readings.
+    /// What an inertial sensor says of the frame of the settings; `None` without one, or where
+    /// nothing follows from its readings.
     #[must_use]
     pub fn sensed(&self) -> Option<SensedFrame> {
         let path = self.slam.inertial_path()?;
@@ -56,8 +58,8 @@ impl Finished {
         &self.map_from_world
     }
 
-    /// The final maps in the frame of the settings, level and in metres as far as an inertial sensor says so
-    /// ([`Self::sensed`]); `None` where there is nothing to map.
+    /// The final maps in the frame of the settings, level and in metres as far as an inertial
+    /// sensor says so ([`Self::sensed`]); `None` where there is nothing to map.
     ///
     /// # Errors
     /// A map that would exceed its memory.
@@ -66,8 +68,8 @@ impl Finished {
         self.maps_around_camera(&sensed.unwrap_or(self.map_from_world))
     }
 
-    /// The same in the frame given by `map_from_world`; the local map is around where the camera was last. Where the
-    /// camera was is free. The second call has none.
+    /// The same in the frame given by `map_from_world`; the local map is around where the camera
+    /// was last. Where the camera was is free. The second call has none.
     ///
     /// # Errors
     /// A map that would exceed its memory.
@@ -82,9 +84,10 @@ impl Finished {
         self.maps_of(scans, map_from_world, camera, (&[], None), &done)
     }
 
-    /// As [`Self::maps_around_camera`] with the local map around `camera`, which is in the same frame, of measurements that
-    /// are at hand: [`Self::final_scans`]. Where the camera was in the frames of `earlier` sessions is free too; cells have
-    /// the edge of the settings, or `edge`. `done` grows with every keyframe that is put in its place, for those who wait.
+    /// As [`Self::maps_around_camera`] with the local map around `camera`, which is in the same
+    /// frame, of measurements that are at hand: [`Self::final_scans`]. Where the camera was in the
+    /// frames of `earlier` sessions is free too; cells have the edge of the settings, or `edge`.
+    /// `done` grows with every keyframe that is put in its place, for those who wait.
     ///
     /// # Errors
     /// A map that would exceed its memory, or depth that cannot be read back from the file of
@@ -139,8 +142,8 @@ impl Finished {
         }
     }
 
-    /// The depth of all keyframes as it is mapped in the end, made better at the final poses; empty where there is
-    /// nothing to map. `done` grows with every keyframe, for those who wait.
+    /// The depth of all keyframes as it is mapped in the end, made better at the final poses; empty
+    /// where there is nothing to map. `done` grows with every keyframe, for those who wait.
     #[must_use]
     pub fn final_scans(&self, done: &AtomicUsize) -> Vec<KeyframeScan> {
         match &self.maps {

@@ -1,5 +1,5 @@
-//! Images of one camera in, trajectory and occupancy map out: what a viewer, a live camera or a robot needs around
-//! [`monogrid_slam`].
+//! Images of one camera in, trajectory and occupancy map out: what a viewer, a live camera or a
+//! robot needs around [`monogrid_slam`].
 //!
 //! ```
 //! use monogrid_geometry::{Camera, Distortion, Pinhole};
@@ -26,14 +26,16 @@
 //! # Ok::<(), monogrid_pipeline::PipelineError>(())
 //! ```
 //!
-//! What happens inside: [`Preparation`] undistorts an image and brings it to the working size; [`monogrid_slam::Slam`] tracks it
-//! in the calling thread; what changes about the map of keyframes goes as [`Event`]s to every [`Listener`] and to
-//! the mapper, each in a thread of its own behind a bounded channel. [`read_ahead`] decodes a [`FrameSource`] of known
-//! length or without end in one more thread, [`Pipeline::run`] puts both together.
+//! What happens inside: [`Preparation`] undistorts an image and brings it to the working size;
+//! [`monogrid_slam::Slam`] tracks it in the calling thread; what changes about the map of keyframes
+//! goes as [`Event`]s to every [`Listener`] and to the mapper, each in a thread of its own behind a
+//! bounded channel. [`read_ahead`] decodes a [`FrameSource`] of known length or without end in one
+//! more thread, [`Pipeline::run`] puts both together.
 //!
-//! Frames: images are those of the camera (grey, 0 to 255), poses and maps are in the world of the run (the first keyframe's
-//! camera) until [`Finished::maps_around_camera`] brings them elsewhere; [`Finished::maps`] is z up. Times are nanoseconds.
-//! The same images and settings give the same bits, for any number of threads, unless frames are read at [`Pace::Real`].
+//! Frames: images are those of the camera (grey, 0 to 255), poses and maps are in the world of the
+//! run (the first keyframe's camera) until [`Finished::maps_around_camera`] brings them elsewhere;
+//! [`Finished::maps`] is z up. Times are nanoseconds. The same images and settings give the same
+//! bits, for any number of threads, unless frames are read at [`Pace::Real`].
 #![deny(missing_docs)]
 
 pub mod clock;

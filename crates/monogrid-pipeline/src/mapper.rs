@@ -1,4 +1,5 @@
-//! The thread that maps: integrates keyframes as they are finished and lets the maps follow the graph.
+//! The thread that maps: integrates keyframes as they are finished and lets the maps follow the
+//! graph.
 
 use crate::clock::{give_way, thread_cpu};
 use monogrid_geometry::Sim3;
@@ -10,8 +11,9 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-/// Events that may wait for the mapper, which gives way to everybody, before tracking waits for it: on a busy computer a map may be late,
-/// poses must not be. What waits is kept by the system as well.
+/// Events that may wait for the mapper, which gives way to everybody, before tracking waits for it:
+/// on a busy computer a map may be late, poses must not be. What waits is kept by the system as
+/// well.
 const EVENTS_AHEAD: usize = 64;
 
 /// What the mapper is told.
@@ -54,7 +56,8 @@ impl MapperThread {
         reader
     }
 
-    /// Brings the maps that grow to the frame that an inertial sensor has, when it is sure and somebody reads them.
+    /// Brings the maps that grow to the frame that an inertial sensor has, when it is sure and
+    /// somebody reads them.
     pub(crate) fn be_level(&self, path: InertialPath) {
         let _ = self.messages.send(Message::Path(path));
     }
@@ -75,7 +78,8 @@ impl MapperThread {
     }
 }
 
-/// Integrates keyframes as they are finished, and lets the maps follow the graph while there is nothing else to do.
+/// Integrates keyframes as they are finished, and lets the maps follow the graph while there is
+/// nothing else to do.
 fn grow_maps(messages: &Receiver<Message>, mut maps: LiveMaps, camera: &KeyframeCamera) -> Mapped {
     give_way();
     let base = *maps.map_from_world();

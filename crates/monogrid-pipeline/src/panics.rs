@@ -1,4 +1,5 @@
-//! A panic of any part ends a run, with all that was mapped until then: it is a value here, never swallowed.
+//! A panic of any part ends a run, with all that was mapped until then: it is a value here, never
+//! swallowed.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -11,7 +12,8 @@ pub fn message_of(panic: &(dyn Any + Send)) -> String {
     text.unwrap_or_else(|| "without a message".to_owned())
 }
 
-/// Does some work; what its panic says, if it panics. What it was changing may then be changed in part.
+/// Does some work; what its panic says, if it panics. What it was changing may then be changed in
+/// part.
 ///
 /// # Errors
 /// The message of the panic.

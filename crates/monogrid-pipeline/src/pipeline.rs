@@ -41,11 +41,11 @@ pub struct Settings {
     pub photometric: Photometric,
     /// Time that the camera takes from its first row to the last, ms; 0 where it reads all at once.
     pub readout_ms: f64,
-    /// Readings of an inertial sensor beside the camera, on the clock of the images; of a live one those of before the first image,
-    /// or none ([`Pipeline::push_readings`]).
+    /// Readings of an inertial sensor beside the camera, on the clock of the images; of a live one
+    /// those of before the first image, or none ([`Pipeline::push_readings`]).
     pub imu: Option<Arc<Imu>>,
-    /// The frame of the maps, where no inertial sensor makes it level and metric. By default they are z up as the first camera was
-    /// held.
+    /// The frame of the maps, where no inertial sensor makes it level and metric. By default they
+    /// are z up as the first camera was held.
     pub map_from_world: Sim3,
 }
 
@@ -132,8 +132,8 @@ impl Pipeline {
         Self::with(preparation, settings, None)
     }
 
-    /// A pipeline for images that are prepared by `preparation` (the settings' size, mask, correction and shutter are not
-    /// used), which goes on with a map if there is one.
+    /// A pipeline for images that are prepared by `preparation` (the settings' size, mask,
+    /// correction and shutter are not used), which goes on with a map if there is one.
     ///
     /// # Errors
     /// A setting outside its range, or a map that is not of these settings.
@@ -176,8 +176,9 @@ impl Pipeline {
         Ok(pipeline)
     }
 
-    /// Adds a listener, which hears of everything from now on, in a thread of its own. The keyframes of an earlier
-    /// session are new to it when no frame was taken yet. Nothing is said of a map that must not change.
+    /// Adds a listener, which hears of everything from now on, in a thread of its own. The
+    /// keyframes of an earlier session are new to it when no frame was taken yet. Nothing is said
+    /// of a map that must not change.
     ///
     /// # Errors
     /// When the system has no more threads.
@@ -194,8 +195,8 @@ impl Pipeline {
         Ok(())
     }
 
-    /// For threads that read the maps while they grow, in the frame of the settings. From now on the mapper keeps them
-    /// up to date.
+    /// For threads that read the maps while they grow, in the frame of the settings. From now on
+    /// the mapper keeps them up to date.
     ///
     /// # Errors
     /// A map that would exceed its memory.
@@ -208,7 +209,8 @@ impl Pipeline {
         Ok(reader.map_err(ended)??)
     }
 
-    /// As [`Self::live_map`] without waiting until the keyframes of now are in the maps: where the reader will arrive.
+    /// As [`Self::live_map`] without waiting until the keyframes of now are in the maps: where the
+    /// reader will arrive.
     #[must_use]
     pub fn live_map_later(&self) -> Receiver<Result<MapReader, MapError>> {
         self.mapper.ask_for_reader()
@@ -226,8 +228,9 @@ impl Pipeline {
         &self.slam
     }
 
-    /// The map as it is now: all keyframes that are finished, in the frame of the settings; `None` before the first.
-    /// It stays as it is while the pipeline goes on. [`Self::live_map`] is for threads that look often.
+    /// The map as it is now: all keyframes that are finished, in the frame of the settings; `None`
+    /// before the first. It stays as it is while the pipeline goes on. [`Self::live_map`] is for
+    /// threads that look often.
     ///
     /// # Errors
     /// A map that would exceed its memory.
@@ -236,18 +239,21 @@ impl Pipeline {
         Ok(view.map(|view| Arc::clone(&view.global)))
     }
 
-    /// Adjusts the keyframes in the end by what the calibration has left of the radial distortion ([`Slam::take_left_radial`]).
+    /// Adjusts the keyframes in the end by what the calibration has left of the radial distortion
+    /// ([`Slam::take_left_radial`]).
     pub fn take_left_radial(&mut self, radial: f64) {
         self.slam.take_left_radial(radial);
     }
 
-    /// Takes the next image of the camera (grey, 0 to 255); what became of it. With a rolling shutter, what became of the
-    /// image before ([`FrameReport::index`]): its rows are put right by what moved until this one. An image that is newer than the
-    /// readings of a live inertial sensor waits for them until the next image.
+    /// Takes the next image of the camera (grey, 0 to 255); what became of it. With a rolling
+    /// shutter, what became of the image before ([`FrameReport::index`]): its rows are put right by
+    /// what moved until this one. An image that is newer than the readings of a live inertial
+    /// sensor waits for them until the next image.
     ///
     /// # Errors
-    /// An image of another size than the camera's, or one that repeats the one before; [`Unusable::Waits`] for the first
-    /// image of a rolling shutter, and for one that waits for readings.
+    /// An image of another size than the camera's, or one that repeats the one before;
+    /// [`Unusable::Waits`] for the first image of a rolling shutter, and for one that waits for
+    /// readings.
     pub fn push(&mut self, image: GrayImage, timestamp_ns: i64) -> Result<FrameReport, Unusable> {
         self.push_telling(image, timestamp_ns, &mut |_| Effort::Whole)
     }
@@ -286,9 +292,10 @@ impl Pipeline {
         tracked.unwrap_or(Err(Unusable::Waits))
     }
 
-    /// Takes readings of a live inertial sensor, which [`Settings::imu`] describes, on the clock of the images and, as far as possible,
-    /// before images that are later. What became of the image that waited for them, if one did. The growing maps
-    /// ([`Self::live_map`]) become level and metric when the readings are sure enough.
+    /// Takes readings of a live inertial sensor, which [`Settings::imu`] describes, on the clock of
+    /// the images and, as far as possible, before images that are later. What became of the image
+    /// that waited for them, if one did. The growing maps ([`Self::live_map`]) become level and
+    /// metric when the readings are sure enough.
     pub fn push_readings(
         &mut self,
         readings: &[ImuSample],
@@ -299,7 +306,8 @@ impl Pipeline {
         self.track_read(ready, &mut |_| Effort::Whole)
     }
 
-    /// Tracks a frame that was read; one that cannot be used is counted, nothing is said of one that was dropped.
+    /// Tracks a frame that was read; one that cannot be used is counted, nothing is said of one
+    /// that was dropped.
     fn track_read(
         &mut self,
         frame: ReadFrame,
@@ -322,8 +330,9 @@ impl Pipeline {
         self.track_telling(frame, &mut |_| Effort::Whole)
     }
 
-    /// The same; a frame that is tracked is told of as soon as it has its pose ([`Slam::process_frame_telling`]): a robot that steers by
-    /// poses need not wait until the frame has made the map better, and may say that there is no time for that.
+    /// The same; a frame that is tracked is told of as soon as it has its pose
+    /// ([`Slam::process_frame_telling`]): a robot that steers by poses need not wait until the
+    /// frame has made the map better, and may say that there is no time for that.
     pub fn track_telling(&mut self, frame: FrameInput, told: &mut Told<'_>) -> FrameReport {
         self.num_frames += 1;
         let report = self.slam.process_frame_telling(frame, told);
@@ -341,8 +350,8 @@ impl Pipeline {
         self.num_frames += 1;
     }
 
-    /// Takes all frames of a source, decoded and prepared ahead in a thread of its own, until there are no more or
-    /// `heard` breaks; it is told what became of each.
+    /// Takes all frames of a source, decoded and prepared ahead in a thread of its own, until there
+    /// are no more or `heard` breaks; it is told what became of each.
     ///
     /// # Errors
     /// When the system has no more threads.
@@ -372,15 +381,16 @@ impl Pipeline {
     /// Finishes the last keyframe and ends all threads.
     ///
     /// # Errors
-    /// What a listener gave up for, or that a thread has panicked; [`Self::finish_telling`] has what there is all the same. Maps
-    /// that could not grow are said by [`Finished::maps`].
+    /// What a listener gave up for, or that a thread has panicked; [`Self::finish_telling`] has
+    /// what there is all the same. Maps that could not grow are said by [`Finished::maps`].
     pub fn finish(self) -> Result<Finished, PipelineError> {
         let mut finished = self.finish_telling(&mut |_| ());
         finished.failure.take().map_or(Ok(finished), Err)
     }
 
-    /// The same; `released` hears of it when the last frame is processed, only what was found is still there, and images and depth of
-    /// keyframes are not needed for a while ([`Slam::conclude`]): a good time to give memory back. What went wrong is
+    /// The same; `released` hears of it when the last frame is processed, only what was found is
+    /// still there, and images and depth of keyframes are not needed for a while
+    /// ([`Slam::conclude`]): a good time to give memory back. What went wrong is
     /// [`Finished::failure`], beside all that was found until then.
     pub fn finish_telling(mut self, released: &mut dyn FnMut(&Slam)) -> Finished {
         let mut failure = attempt(|| self.conclude(released))

@@ -25,7 +25,8 @@ pub enum Unusable {
     /// It cannot be decoded, and why.
     #[error("{0}")]
     Unreadable(String),
-    /// There is no frame: the source cannot be read any further, and why. It is the last that it says.
+    /// There is no frame: the source cannot be read any further, and why. It is the last that it
+    /// says.
     #[error("{0}")]
     BrokeOff(String),
     /// It has another size than the calibration.
@@ -39,8 +40,8 @@ pub enum Unusable {
     /// It is the image before once more, pixel by pixel: it says nothing new.
     #[error("it repeats the image before")]
     Repeats,
-    /// It is used later: its rows are put right by what moves until the next one, or readings of an inertial sensor until its time are
-    /// missing.
+    /// It is used later: its rows are put right by what moves until the next one, or readings of an
+    /// inertial sensor until its time are missing.
     #[error("it waits for the next image, or for readings of the inertial sensor until its time")]
     Waits,
 }
@@ -65,9 +66,9 @@ impl Preparation {
         }
     }
 
-    /// The same for a camera that takes this long from its first row to the last, ms; negative where it begins with the
-    /// last. Images are rectified before they
-    /// are tracked, which needs the next one.
+    /// The same for a camera that takes this long from its first row to the last, ms; negative
+    /// where it begins with the last. Images are rectified before they are tracked, which needs the
+    /// next one.
     #[must_use]
     pub fn with_readout_ms(self, readout_ms: f64) -> Self {
         Self {
@@ -76,7 +77,8 @@ impl Preparation {
         }
     }
 
-    /// The same where a rolling shutter runs another way than the [shape](ReadoutDirection::of_size) of the images says.
+    /// The same where a rolling shutter runs another way than the
+    /// [shape](ReadoutDirection::of_size) of the images says.
     #[must_use]
     pub fn with_readout_direction(self, direction: ReadoutDirection) -> Self {
         Self { direction, ..self }
@@ -151,7 +153,8 @@ impl Preparation {
         self.undistort(&corrected)
     }
 
-    /// The image in colour (red, green, blue) as it covers the working image, for people: without photometric correction.
+    /// The image in colour (red, green, blue) as it covers the working image, for people: without
+    /// photometric correction.
     ///
     /// # Errors
     /// An image of another size than the camera's.

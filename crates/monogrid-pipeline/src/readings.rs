@@ -1,11 +1,12 @@
-//! An inertial sensor that is read while the camera is: an image is tracked when the readings have come to its time, or the next
-//! image has.
+//! An inertial sensor that is read while the camera is: an image is tracked when the readings have
+//! come to its time, or the next image has.
 
 use crate::source::ReadFrame;
 use monogrid_slam::FrameReport;
 
-/// Time from the first keyframe that was finished until the readings are asked for metres and up, ns, and how much longer each time is
-/// than the one before: the answer becomes better with the length of the path, and costs as much as the path is long.
+/// Time from the first keyframe that was finished until the readings are asked for metres and up,
+/// ns, and how much longer each time is than the one before: the answer becomes better with the
+/// length of the path, and costs as much as the path is long.
 const FIRST_QUESTION_NS: i64 = 2_000_000_000;
 const LATER_BY: f64 = 1.5;
 
@@ -27,8 +28,8 @@ struct Questions {
 }
 
 impl LiveReadings {
-    /// Takes a frame, which waits if readings until its time are missing; the one to track now: this one, or the one that has waited,
-    /// for which the next image is the end of waiting.
+    /// Takes a frame, which waits if readings until its time are missing; the one to track now:
+    /// this one, or the one that has waited, for which the next image is the end of waiting.
     pub(crate) fn take_frame(&mut self, frame: ReadFrame) -> Option<ReadFrame> {
         match self.newest_ns {
             Some(newest_ns) if newest_ns < frame.timestamp_ns => self.waiting.replace(frame),

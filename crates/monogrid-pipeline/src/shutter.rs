@@ -1,10 +1,11 @@
 //! Rolling shutter: images as a camera would have taken them that reads all rows at once.
 //!
-//! Rows are read one after the other, so each shows the scene a little later than the one before it. A pixel has moved on by its
-//! velocity times the time between its row and the middle one; it is put back there. The velocity is that of the picture
-//! around it, measured by corners that are followed to the image before and the image after: whatever the depth, and
-//! without a pose, so that everything that comes after sees an ordinary camera whose pose is that of the middle row: the start
-//! too, when no pose is known that a model of the shutter could use.
+//! Rows are read one after the other, so each shows the scene a little later than the one before
+//! it. A pixel has moved on by its velocity times the time between its row and the middle one; it
+//! is put back there. The velocity is that of the picture around it, measured by corners that are
+//! followed to the image before and the image after: whatever the depth, and without a pose, so
+//! that everything that comes after sees an ordinary camera whose pose is that of the middle row:
+//! the start too, when no pose is known that a model of the shutter could use.
 
 use crate::preparation::{Unusable, each_channel};
 use crate::source::ReadFrame;
@@ -89,7 +90,8 @@ impl Shutter {
         let pixels = xs.iter_mut().zip(ys).zip(self.phases.row(row));
         for (column, ((x, y), phase)) in (0u16..).zip(pixels) {
             let (u, v) = (*x, *y);
-            // the row that shows it is read at another time: t = readout (phase + t (u, v) . gradient of the phase)
+            // the row that shows it is read at another time: t = readout (phase + t (u, v) .
+            // gradient of the phase)
             let passed = per_x * u + per_y * v;
             let time = readout_ns * phase / (1.0 - passed).max(0.5);
             (*x, *y) = (f32::from(column) + time * u, row as f32 + time * v);
@@ -98,7 +100,8 @@ impl Shutter {
 }
 
 for_lanes! {
-    /// The image at `places` x and y, whose number is a multiple of [`LANES`]; those beyond `values` do not count.
+    /// The image at `places` x and y, whose number is a multiple of [`LANES`]; those beyond
+    /// `values` do not count.
     fn look_up = look_up_with, (image: &GrayImage, places: [&[f32]; 2], values: &mut [f32]);
 }
 
@@ -122,8 +125,9 @@ pub struct Rectification {
 }
 
 impl Rectification {
-    /// The image in colour (red, green, blue), [as it covers the working image](crate::Preparation::apply_rgb), with every pixel
-    /// where it is when the middle row is read.
+    /// The image in colour (red, green, blue), [as it covers the working
+    /// image](crate::Preparation::apply_rgb), with every pixel where it is when the middle row is
+    /// read.
     ///
     /// # Errors
     /// An image of another size than the working image's.
@@ -226,7 +230,8 @@ impl Rectifier {
         self.rectify_newest(&[]);
     }
 
-    /// How corners moved between the newest image and the next: where they were, and where they are.
+    /// How corners moved between the newest image and the next: where they were, and where they
+    /// are.
     fn moved(
         &self,
         newest: &Newest,
@@ -257,8 +262,8 @@ impl Rectifier {
             .unzip()
     }
 
-    /// Rectifies the newest frame, if it waits, by what moved towards it and away from it; where that is too little, it
-    /// stays as it is.
+    /// Rectifies the newest frame, if it waits, by what moved towards it and away from it; where
+    /// that is too little, it stays as it is.
     fn rectify_newest(&mut self, away: &[FlowSample]) {
         let Some(newest) = &mut self.newest else {
             return;
@@ -300,7 +305,8 @@ mod tests {
         128.0 + 40.0 * (wave(0.31, 0.11, 0.0) + wave(-0.13, 0.27, 1.0) + wave(0.07, -0.19, 2.0))
     }
 
-    /// The picture after it moved for a time, px per interval, as a sensor sees it that takes `readout_ns`.
+    /// The picture after it moved for a time, px per interval, as a sensor sees it that takes
+    /// `readout_ns`.
     fn frame(index: usize, velocity: [f64; 2], readout_ns: f64) -> ReadFrame {
         frame_read(index, velocity, readout_ns, Down)
     }

@@ -61,7 +61,8 @@ pub struct ReadFrame {
     pub readout_ms: f64,
     /// How that was done, where it was.
     pub rectification: Option<Rectification>,
-    /// At [`Pace::Real`] when the camera had it: as long after the first frame was decoded as their times say.
+    /// At [`Pace::Real`] when the camera had it: as long after the first frame was decoded as their
+    /// times say.
     pub due: Option<Instant>,
 }
 
@@ -71,16 +72,16 @@ pub enum ReadOn {
     /// As before.
     #[default]
     AsBefore,
-    /// Some frames later (always as many), images are rectified for a camera that takes this long from its first row to the last,
-    /// ms.
+    /// Some frames later (always as many), images are rectified for a camera that takes this long
+    /// from its first row to the last, ms.
     Rectified {
         /// 0 where all rows are read at once; negative where it begins with the last.
         readout_ms: f64,
     },
 }
 
-/// Frames after which what was found of the rolling shutter is used: more than can be read and not taken yet, so that it does not
-/// depend on how far ahead the reader is.
+/// Frames after which what was found of the rolling shutter is used: more than can be read and not
+/// taken yet, so that it does not depend on how far ahead the reader is.
 const FRAMES_UNTIL_RECTIFIED: usize = 28;
 const _: () = assert!(FRAMES_UNTIL_RECTIFIED > FRAMES_AHEAD + MAX_WAITING + 2);
 
@@ -90,8 +91,8 @@ pub enum Pace {
     /// As they are taken.
     #[default]
     Taken,
-    /// Each at its own time. Frames wait where tracking takes longer for one; when the oldest would wait for longer than `max_wait`,
-    /// some are dropped, evenly.
+    /// Each at its own time. Frames wait where tracking takes longer for one; when the oldest would
+    /// wait for longer than `max_wait`, some are dropped, evenly.
     Real {
         /// By the times of the frames; 0.2 s covers the slowest frames, those that make a keyframe.
         max_wait: Duration,
@@ -107,8 +108,9 @@ pub struct Reading {
     pub must_be_used: Option<usize>,
 }
 
-/// Reads frames in a thread of its own, rectifies those of a rolling shutter, and hands each over, prepared, in the order of the source, until there
-/// are no more or `take` breaks. Returns the CPU time of the reader.
+/// Reads frames in a thread of its own, rectifies those of a rolling shutter, and hands each over,
+/// prepared, in the order of the source, until there are no more or `take` breaks. Returns the CPU
+/// time of the reader.
 ///
 /// # Errors
 /// When the system has no more threads.
@@ -149,7 +151,8 @@ pub fn read_ahead(
     }
 }
 
-/// Reads in a thread of its own and hands over here what comes of it. Returns the CPU time of the reader.
+/// Reads in a thread of its own and hands over here what comes of it. Returns the CPU time of the
+/// reader.
 fn side_by_side(
     read: impl FnOnce() + Send,
     frames: impl Iterator<Item = ReadFrame>,

@@ -1,7 +1,8 @@
 //! Frames that wait for tracking while their source goes on at its own pace.
 //!
-//! A slow frame costs latency for a moment and no other frame. When tracking stays behind, what waits is thinned evenly instead
-//! of cut off, so that the camera has moved as little as can be from each frame to the next.
+//! A slow frame costs latency for a moment and no other frame. When tracking stays behind, what
+//! waits is thinned evenly instead of cut off, so that the camera has moved as little as can be
+//! from each frame to the next.
 
 use crate::source::ReadFrame;
 use std::collections::VecDeque;
@@ -85,8 +86,8 @@ impl Queue {
         Some(frame)
     }
 
-    /// Where the oldest frame waits for too long, one is dropped for each that comes: that without which the largest step in time
-    /// stays the smallest.
+    /// Where the oldest frame waits for too long, one is dropped for each that comes: that without
+    /// which the largest step in time stays the smallest.
     fn add(&mut self, frame: ReadFrame, max_wait_ns: i64) {
         self.frames.push_back(frame);
         let waiting: Vec<(usize, i64)> = (self.frames.iter().enumerate())
@@ -144,7 +145,8 @@ mod tests {
         }
     }
 
-    /// Numbers of the frames that are left with an image when one is taken for `arriving` that come; all are handed on in order.
+    /// Numbers of the frames that are left with an image when one is taken for `arriving` that
+    /// come; all are handed on in order.
     fn used(count: usize, arriving: usize) -> Vec<usize> {
         let mut queue = Queue::default();
         let mut taken = Vec::new();

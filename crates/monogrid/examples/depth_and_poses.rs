@@ -1,4 +1,5 @@
-//! Poses and depth images of another SLAM: `cargo run --example depth_and_poses -- FOLDER calibration.txt poses.txt map.ot`
+//! Poses and depth images of another SLAM:
+//! `cargo run --example depth_and_poses -- FOLDER calibration.txt poses.txt map.ot`
 use monogrid::datasets::{Calibration, Dataset, SourceOptions, read_depth, read_trajectory};
 use monogrid::mapping::{KeyframeScan, Mapper, MappingConfig};
 use monogrid::occupancy::{save_atomically, write_ot};

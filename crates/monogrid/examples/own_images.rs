@@ -1,4 +1,6 @@
-//! Images of your own: `ffmpeg -i a.mp4 -f rawvideo -pix_fmt rgb24 - | cargo run --example own_images -- calibration.txt 30 a.bt`
+//! Images of your own:
+//! `ffmpeg -i a.mp4 -f rawvideo -pix_fmt rgb24 - | cargo run --example own_images --
+//! calibration.txt 30 a.bt`
 use monogrid::occupancy::{save_atomically, write_bt};
 use monogrid::{Calibration, GrayImage, Pipeline, Settings};
 use std::io::Read;

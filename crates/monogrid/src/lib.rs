@@ -27,11 +27,13 @@
 //! # }
 //! ```
 //!
-//! Lens distortion, working size, mask, rolling shutter and repeated images are taken care of inside; [`Settings`] has them
-//! all. Losing track is an outcome of [`Pipeline::push`], not an error. The same images and settings give the same bytes.
+//! Lens distortion, working size, mask, rolling shutter and repeated images are taken care of
+//! inside; [`Settings`] has them all. Losing track is an outcome of [`Pipeline::push`], not an
+//! error. The same images and settings give the same bytes.
 //!
-//! The examples `camera`, `own_images`, `lidar_scans` and `depth_and_poses` are programs of at most 25 lines. What is here comes from
-//! crates that can be used alone, each with a first page of its own:
+//! The examples `camera`, `own_images`, `lidar_scans` and `depth_and_poses` are programs of at most
+//! 25 lines. What is here comes from crates that can be used alone, each with a first page of its
+//! own:
 //!
 //! | for | module |
 //! |---|---|

@@ -1,5 +1,6 @@
-//! How long Rust takes to insert a scan: `insert_points POINTS REPETITIONS`, points as x, y, z in `f32`, little endian. Prints the
-//! shortest time in seconds and the numbers of cells. `insert_points.py` compares Python with it.
+//! How long Rust takes to insert a scan: `insert_points POINTS REPETITIONS`, points as x, y, z in
+//! `f32`, little endian. Prints the shortest time in seconds and the numbers of cells.
+//! `insert_points.py` compares Python with it.
 #![allow(clippy::print_stdout, reason = "it talks to its caller")]
 
 use monogrid::occupancy::*;

@@ -34,7 +34,8 @@ pub fn kind_of(array_like: &Bound<PyAny>) -> PyResult<Kind> {
     })
 }
 
-/// What Python calls an array-like: contiguous and of this type and dimension, copied only if it is not so yet.
+/// What Python calls an array-like: contiguous and of this type and dimension, copied only if it is
+/// not so yet.
 pub fn contiguous<'py, T: Element, D: Dimension>(
     array_like: &Bound<'py, PyAny>,
     expected: &str,

@@ -1,7 +1,8 @@
-//! The Python package `monogrid`: numpy arrays in and out, errors as exceptions with the texts of the library.
+//! The Python package `monogrid`: numpy arrays in and out, errors as exceptions with the texts of
+//! the library.
 //!
-//! Arrays are read where they lie if they are contiguous and of the type that is asked for, and copied once otherwise. Python's
-//! lock is released while something is computed.
+//! Arrays are read where they lie if they are contiguous and of the type that is asked for, and
+//! copied once otherwise. Python's lock is released while something is computed.
 
 mod arrays;
 mod errors;
@@ -13,7 +14,8 @@ mod slam;
 use pyo3::prelude::*;
 use std::ffi::OsString;
 
-/// Does what a command line asks for (the name of the program first); the exit code. Takes the whole process.
+/// Does what a command line asks for (the name of the program first); the exit code. Takes the
+/// whole process.
 #[pyfunction]
 fn main(py: Python, arguments: Vec<OsString>) -> u8 {
     py.detach(|| monogrid_cli::program::main(arguments))

@@ -105,8 +105,9 @@ fn finite(numbers: &[f64], name: &str) -> PyResult<()> {
 
 /// Metres of one unit of a depth image.
 ///
-/// A depth image of integers is in some unit that only who made it knows. No unit is larger than a metre, so that both usual ways to say
-/// it are understood: metres of a unit (0.001), or units of a metre (1000).
+/// A depth image of integers is in some unit that only who made it knows. No unit is larger than a
+/// metre, so that both usual ways to say it are understood: metres of a unit (0.001), or units of a
+/// metre (1000).
 fn metres_per_unit(depth: &Bound<PyAny>, depth_scale: Option<f64>) -> PyResult<f32> {
     if let Some(scale) = depth_scale {
         positive(scale, "depth_scale", None)?;

@@ -1,7 +1,8 @@
 //! Shows a run of monogrid in the Rerun viewer while it goes on, or writes it as an `.rrd` file.
 //!
-//! `monogrid run --view=rerun` and `--view=rrd=FILE` start this program. It asks the page of the run on this computer for what is new, a
-//! few times a second, as a browser does (`--view`), so that a run never waits for it, and ends with the run.
+//! `monogrid run --view=rerun` and `--view=rrd=FILE` start this program. It asks the page of the
+//! run on this computer for what is new, a few times a second, as a browser does (`--view`), so
+//! that a run never waits for it, and ends with the run.
 
 mod ask;
 mod news;

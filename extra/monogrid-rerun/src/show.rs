@@ -26,7 +26,8 @@ impl Shown {
         Ok(Self::default())
     }
 
-    /// What to ask next. Cells are asked for each time, or the map would not grow; they come every few seconds.
+    /// What to ask next. Cells are asked for each time, or the map would not grow; they come every
+    /// few seconds.
     pub fn question(&self) -> String {
         let (version, from) = (self.version, self.path.len());
         format!("/live/{version}/{from}/1")

@@ -19,23 +19,28 @@ pub struct Args {
     /// Topic of the calibration (sensor_msgs/CameraInfo)
     #[arg(long, value_name = "TOPIC", default_value = "/camera/camera_info")]
     pub info: String,
-    /// The images are rectified: the projection of the calibration is theirs, and nothing is distorted
+    /// The images are rectified: the projection of the calibration is theirs, and nothing is
+    /// distorted
     #[arg(long)]
     pub rectified: bool,
     /// Calibration from a file instead of the topic (any that `monogrid run --calibration` reads)
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
-    /// Time that the camera takes from its first row to the last, ms: rows are put right, which delays poses by an image [default: as
+    /// Time that the camera takes from its first row to the last, ms: rows are put right, which
+    /// delays poses by an image [default: as
     /// --calibration says, else 0]
     #[arg(long, value_name = "MS", value_parser = |text: &str| within(text, -1000.0..=1000.0, "ms"), allow_hyphen_values = true)]
     pub rolling_shutter: Option<f64>,
-    /// Topic of an inertial sensor beside the camera (sensor_msgs/Imu), on the clock of the images: the map becomes level and metric
+    /// Topic of an inertial sensor beside the camera (sensor_msgs/Imu), on the clock of the images:
+    /// the map becomes level and metric
     #[arg(long, value_name = "TOPIC")]
     pub imu: Option<String>,
-    /// Noise of that sensor and where it sits on the base (EuRoC's sensor.yaml: densities, T_BS) [default: noise of a phone's sensor]
+    /// Noise of that sensor and where it sits on the base (EuRoC's sensor.yaml: densities, T_BS)
+    /// [default: noise of a phone's sensor]
     #[arg(long, value_name = "FILE", requires = "imu")]
     pub imu_calibration: Option<PathBuf>,
-    /// How the camera is mounted on that sensor: tx ty tz qx qy qz qw or a 4x4 matrix, camera to sensor, metres [default: as
+    /// How the camera is mounted on that sensor: tx ty tz qx qy qz qw or a 4x4 matrix, camera to
+    /// sensor, metres [default: as
     /// --base-from-camera and --imu-calibration say]
     #[arg(long, value_name = "FILE", requires = "imu")]
     pub imu_from_camera: Option<PathBuf>,
@@ -51,11 +56,12 @@ pub struct Args {
     #[allow(missing_docs, reason = "would become the description of the program")]
     #[command(flatten)]
     pub frames: FrameArgs,
-    /// Metres of a unit of the camera's world, where that is known; parameter `metres_per_unit` of the node
+    /// Metres of a unit of the camera's world, where that is known; parameter `metres_per_unit` of
+    /// the node
     #[arg(long, value_name = "METRES", value_parser = scale)]
     pub metres_per_unit: Option<f64>,
-    /// Heights over the origin of the base, m, whose cells are obstacles in the grid; without, from somewhat above
-    /// what is lowest in the map to somewhat above the camera
+    /// Heights over the origin of the base, m, whose cells are obstacles in the grid; without, from
+    /// somewhat above what is lowest in the map to somewhat above the camera
     #[arg(long, value_name = "LOW,HIGH", value_parser = band, allow_hyphen_values = true)]
     pub height_band: Option<[f64; 2]>,
     /// Seconds between maps at least
@@ -82,7 +88,8 @@ pub struct FrameArgs {
     /// Frame of the robot
     #[arg(long, value_name = "FRAME", default_value = "base_link")]
     pub base_frame: String,
-    /// Where the camera sits on the base: place, m, and angles of its body (x ahead, y left, z up), rad
+    /// Where the camera sits on the base: place, m, and angles of its body (x ahead, y left, z up),
+    /// rad
     #[arg(long, value_name = "X,Y,Z,ROLL,PITCH,YAW", value_parser = numbers::<6>, allow_hyphen_values = true)]
     pub base_from_camera: Option<[f64; 6]>,
     /// Where the camera sits is published by others (a robot's description): not here

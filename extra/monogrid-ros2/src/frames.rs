@@ -1,14 +1,16 @@
 //! The frames of a robot (REP 105): map, odom, base.
 //!
-//! What the camera moved from image to image is added up in `odom_from_base`, which never jumps: not when a loop is
-//! closed, not when the scale is set, not when the map is thrown away. All of that goes into `map_from_odom`.
+//! What the camera moved from image to image is added up in `odom_from_base`, which never jumps:
+//! not when a loop is closed, not when the scale is set, not when the map is thrown away. All of
+//! that goes into `map_from_odom`.
 
 use monogrid_geometry::{Rotation, Se3, Sim3, Vec3};
 use monogrid_mapping::z_up_from_camera_world;
 use monogrid_slam::FrameReport;
 
-/// How the camera sits on the robot: base_from_camera of the optical axes (x right, y down, z forward), m, from the place of
-/// the camera and the angles of its body (x forward, y left, z up) around x, y, z (roll, pitch, yaw; rad).
+/// How the camera sits on the robot: base_from_camera of the optical axes (x right, y down, z
+/// forward), m, from the place of the camera and the angles of its body (x forward, y left, z up)
+/// around x, y, z (roll, pitch, yaw; rad).
 #[must_use]
 pub fn mount(place: [f64; 3], [roll, pitch, yaw]: [f64; 3]) -> Se3 {
     let base_from_body = Rotation::from_euler_angles(roll, pitch, yaw);
@@ -16,8 +18,9 @@ pub fn mount(place: [f64; 3], [roll, pitch, yaw]: [f64; 3]) -> Se3 {
     Se3::new(base_from_body * body_from_optical, Vec3::from(place))
 }
 
-/// The frame of the map, from the world: that of the mapper, where nobody has told how long a unit is; in it the camera was first at the
-/// origin, and its axes are those of the base then, made level where an inertial sensor says so.
+/// The frame of the map, from the world: that of the mapper, where nobody has told how long a unit
+/// is; in it the camera was first at the origin, and its axes are those of the base then, made
+/// level where an inertial sensor says so.
 #[must_use]
 pub fn frame_of_map(mapper_from_world: &Sim3, told_metres_per_unit: Option<f64>) -> Sim3 {
     Sim3 {

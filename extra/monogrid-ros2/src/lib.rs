@@ -1,8 +1,9 @@
 //! A ROS 2 node that makes an occupancy map of a camera's images, without an installation of ROS.
 //!
-//! Three threads, which pass messages over bounded channels: that of the middleware ([`serve`]) hands on what comes, the
-//! tracking thread ([`tracking`]) owns the pipeline and publishes poses, the thread of the maps ([`maps`]) publishes maps and
-//! diagnostics and writes files. What a message is made of stands in [`convert`], one function each; the frames of a robot in
+//! Three threads, which pass messages over bounded channels: that of the middleware ([`serve`])
+//! hands on what comes, the tracking thread ([`tracking`]) owns the pipeline and publishes poses,
+//! the thread of the maps ([`maps`]) publishes maps and diagnostics and writes files. What a
+//! message is made of stands in [`convert`], one function each; the frames of a robot in
 //! [`frames`].
 #![deny(missing_docs)]
 

@@ -1,4 +1,5 @@
-//! The thread of the maps: publishes what the mapper has when it has something new, how the node is, and writes files.
+//! The thread of the maps: publishes what the mapper has when it has something new, how the node
+//! is, and writes files.
 
 use crate::args::Args;
 use crate::convert::{Condition, MAX_PATH_POSES, diagnostics};
@@ -65,7 +66,8 @@ pub struct Maps {
 }
 
 impl Maps {
-    /// With nothing to publish yet; `map_from_world` is the frame of maps before an inertial sensor has a say.
+    /// With nothing to publish yet; `map_from_world` is the frame of maps before an inertial sensor
+    /// has a say.
     #[must_use]
     pub fn new(args: Args, map_from_world: Sim3, topics: MapTopics, counts: Arc<Counts>) -> Self {
         Self {
@@ -181,7 +183,8 @@ impl Maps {
         frame_of_map(mapper_from_world, self.args.metres_per_unit)
     }
 
-    /// Metres of a unit of the world, where somebody has told it, or an inertial sensor, which changes the scale of the frame.
+    /// Metres of a unit of the world, where somebody has told it, or an inertial sensor, which
+    /// changes the scale of the frame.
     fn metres_per_unit(&self) -> Option<f64> {
         let sensed = self.frame_of_mapper().scale;
         let is_sensed = sensed != self.map_from_world.scale;
@@ -194,7 +197,8 @@ impl Maps {
         shown.map_or(Ok(()), |shown| self.publish(&shown))
     }
 
-    /// The newest map; `None` where there is none, or it was published already and is not wanted `again`.
+    /// The newest map; `None` where there is none, or it was published already and is not wanted
+    /// `again`.
     fn newest(&mut self, again: bool) -> Result<Option<Shown>, MapError> {
         let world = self.world.as_ref();
         let latest = world.and_then(|world| Some((world, world.reader.latest()?)));

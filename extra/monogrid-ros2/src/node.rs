@@ -13,8 +13,8 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::net::Ipv4Addr;
 
-/// Connects to the other nodes of the ROS domain (`ROS_DOMAIN_ID`); to those of this computer only where
-/// `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST` or `ROS_LOCALHOST_ONLY=1`.
+/// Connects to the other nodes of the ROS domain (`ROS_DOMAIN_ID`); to those of this computer only
+/// where `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST` or `ROS_LOCALHOST_ONLY=1`.
 ///
 /// # Errors
 /// A domain that is no number, or a network that cannot be used.

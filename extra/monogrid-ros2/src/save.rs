@@ -9,8 +9,9 @@ use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-/// Writes `global.ot`, `global.bt`, `map.pgm` with `map.yaml`, and `trajectory.txt` (map_from_camera) into a new folder in
-/// `parent`. Nothing that exists is touched. `is_metric`: whether somebody has said how long a unit is.
+/// Writes `global.ot`, `global.bt`, `map.pgm` with `map.yaml`, and `trajectory.txt`
+/// (map_from_camera) into a new folder in `parent`. Nothing that exists is touched. `is_metric`:
+/// whether somebody has said how long a unit is.
 ///
 /// # Errors
 /// A folder that cannot be made or written to.

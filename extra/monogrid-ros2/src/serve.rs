@@ -130,7 +130,8 @@ async fn take_images<M>(
     }
 }
 
-/// How many messages are missing before this one of a sender, by the numbers that it gives them; `last` are the sender and the number before.
+/// How many messages are missing before this one of a sender, by the numbers that it gives them;
+/// `last` are the sender and the number before.
 fn gap<S: PartialEq>(last: &mut Option<(S, i64)>, sender: S, number: i64) -> u64 {
     let before = last.take().filter(|(before, _)| *before == sender);
     *last = Some((sender, number));

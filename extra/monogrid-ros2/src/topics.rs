@@ -35,7 +35,8 @@ pub struct MapTopics {
     diagnostics: Publisher<DiagnosticArray>,
     /// The grid that listeners have, and when it was last sent as a whole.
     sent_grid: Option<(OccupancyGrid, Instant)>,
-    /// Radius around the camera, m, of what was too large to be sent as a whole; `None` where everything was sent.
+    /// Radius around the camera, m, of what was too large to be sent as a whole; `None` where
+    /// everything was sent.
     pub window: Option<f64>,
     /// Messages that could not be sent.
     pub unsent: u64,
@@ -116,7 +117,8 @@ impl MapTopics {
         Ok(())
     }
 
-    /// Publishes the grid, or what has changed of it since listeners got the last one of the same size and place.
+    /// Publishes the grid, or what has changed of it since listeners got the last one of the same
+    /// size and place.
     fn publish_grid(&mut self, shown: &Shown, grid: &Projection) {
         let [x, y, _] = shown.camera;
         let grid = grid.around([x, y], MAX_BYTES);

@@ -186,7 +186,8 @@ impl Tracking {
         }
     }
 
-    /// A reading, and the image that waited for it, if one did. What was read before the first image is of no use.
+    /// A reading, and the image that waited for it, if one did. What was read before the first
+    /// image is of no use.
     fn take_reading(&mut self, reading: ImuSample) {
         let pipeline = self.pipeline.as_mut();
         if let Some(report) = pipeline.and_then(|pipeline| pipeline.push_readings(&[reading])) {
@@ -194,8 +195,9 @@ impl Tracking {
         }
     }
 
-    /// Gives an image to the pipeline, which begins with the first one after the calibration. What became of it, or of an earlier
-    /// image, and how many messages about it could not be sent, where its poses were published already: as soon as they were known.
+    /// Gives an image to the pipeline, which begins with the first one after the calibration. What
+    /// became of it, or of an earlier image, and how many messages about it could not be sent,
+    /// where its poses were published already: as soon as they were known.
     fn push(
         &mut self,
         header: &Header,

@@ -22,8 +22,8 @@ struct TrailPose {
 }
 
 impl Trail {
-    /// Adds a pose that was tracked on a keyframe, unless the last one is too near in time. Of more than `most` poses,
-    /// every second one goes.
+    /// Adds a pose that was tracked on a keyframe, unless the last one is too near in time. Of more
+    /// than `most` poses, every second one goes.
     pub fn add(
         &mut self,
         stamp: Time,

@@ -12,7 +12,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 
-/// Images that may wait for tracking: enough to bridge the making of a keyframe, few enough to stay near the present.
+/// Images that may wait for tracking: enough to bridge the making of a keyframe, few enough to stay
+/// near the present.
 pub const IMAGES_AHEAD: usize = 4;
 
 /// Whom to answer when it is done.
@@ -53,7 +54,8 @@ pub enum Work {
     Save(Answer),
 }
 
-/// A way to the tracking thread, on which only so many images wait; everything else always finds room, in the order in which it came.
+/// A way to the tracking thread, on which only so many images wait; everything else always finds
+/// room, in the order in which it came.
 #[must_use]
 pub fn way_to_work() -> (WorkSender, WorkReceiver) {
     let (sender, receiver) = channel();

@@ -1,4 +1,5 @@
-//! The node in a process of its own, real messages between: images at 30 Hz, and all that comes back.
+//! The node in a process of its own, real messages between: images at 30 Hz, and all that comes
+//! back.
 #![allow(
     clippy::unwrap_used,
     clippy::print_stdout,
@@ -143,7 +144,8 @@ impl Loopback {
         }
     }
 
-    /// Sends all images, waits until it is known what became of each, and checks all that came back.
+    /// Sends all images, waits until it is known what became of each, and checks all that came
+    /// back.
     fn run(&mut self, film: &Film, count: usize) -> Sent {
         let sent = send(&self.robot, &self.node, film, count);
         self.heard
@@ -206,7 +208,8 @@ fn poses_are_those_of_a_robot(heard: &Heard) {
                 .sqrt();
             let gap = pair[1].0.header.stamp.nanoseconds() - pair[0].0.header.stamp.nanoseconds();
             assert!(gap > 0);
-            // a hand moves at most by a part of the depth of the scene, which is about 1, in a thirtieth of a second
+            // a hand moves at most by a part of the depth of the scene, which is about 1, in a
+            // thirtieth of a second
             assert!(
                 step < 0.15 * (gap as f64 / 33e6).max(1.0),
                 "a step of {step}"
@@ -319,7 +322,8 @@ fn ten_seconds_of_a_small_camera() {
     assert!(loopback.node.interrupt());
 }
 
-/// A camera and an inertial sensor of which neither sits straight: the map is in metres, and its z is up.
+/// A camera and an inertial sensor of which neither sits straight: the map is in metres, and its z
+/// is up.
 #[test]
 fn an_inertial_sensor_makes_the_map_metric_and_level() {
     let sequence = SynthSequence::small_demo().unwrap();
@@ -375,7 +379,8 @@ fn written(transform: &Se3) -> String {
     numbers.map(|number| number.to_string()).join(" ")
 }
 
-/// Sends images at 30 Hz, and the readings of their times after them; the time of the first one, ns.
+/// Sends images at 30 Hz, and the readings of their times after them; the time of the first one,
+/// ns.
 fn send_with_readings(robot: &Robot, film: &Film, readings: &[ImuSample]) -> i64 {
     for _ in 0..5 {
         robot.send_info(&film.camera);
@@ -431,7 +436,8 @@ fn a_reset_begins_a_new_map(loopback: &Loopback, image: &Image<u8>) {
     });
 }
 
-/// The bar of a robot: 60 s of the sequence in the folder that `LOOPBACK_SEQUENCE` names. Prints what `BENCHMARKS.md` says.
+/// The bar of a robot: 60 s of the sequence in the folder that `LOOPBACK_SEQUENCE` names. Prints
+/// what `BENCHMARKS.md` says.
 #[test]
 #[ignore = "takes minutes: scripts/ros2_loopback.sh"]
 fn a_minute_of_a_camera() {

@@ -1,8 +1,8 @@
 //! Two seconds without a picture, with and without an inertial sensor: where the camera is
 //! afterwards (`scripts/imu.sh`).
 //!
-//! `cargo run --release -p monogrid-studies --example blackout -- WORLD known|unknown [seed=I] [imu=0]
-//! [before=SECONDS] [small=1]`
+//! `cargo run --release -p monogrid-studies --example blackout -- WORLD known|unknown [seed=I]
+//! [imu=0] [before=SECONDS] [small=1]`
 //!
 //! A built-in world at 640x480 (`small`: 320x240), carried by hand, with the noise of the
 //! demonstration. `unknown`: the camera goes on; `known`: it turns round in the dark and goes back.

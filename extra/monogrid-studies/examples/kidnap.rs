@@ -1,6 +1,7 @@
 //! Loss and return: frames are covered for one or five seconds, or the video jumps to another part.
 //!
-//! `cargo run --release -p monogrid-studies --example kidnap -- FOLDER [cases] [frames before the loss]`
+//! `cargo run --release -p monogrid-studies --example kidnap -- FOLDER [cases] [frames before the
+//! loss]`
 //!
 //! Each case prints whether the camera was found again, after how many frames of video, and the
 //! largest error of a pose that was reported afterwards (aligned on the frames before the loss). A

@@ -1,6 +1,7 @@
 //! What a disturbance does to a run: one row of the robustness matrix (`scripts/robustness.sh`).
 //!
-//! `cargo run --release -p monogrid-studies --example robustness -- WORLD DISTURBANCE [seed=I] [frames=N] [imu=1] [list=1]`
+//! `cargo run --release -p monogrid-studies --example robustness -- WORLD DISTURBANCE [seed=I]
+//! [frames=N] [imu=1] [list=1]`
 //!
 //! A built-in world at 320x240, carried by hand (`street`: by a car), with the noise of the
 //! demonstration. Disturbances: `low-rate`, `blur`, `exposure-jumps`, `black-frames`, `person`,

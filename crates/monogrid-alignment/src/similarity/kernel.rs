@@ -87,8 +87,8 @@ impl SimilarityLinearization {
         Some(covariance / (var_a * var_b).sqrt())
     }
 
-    /// Logarithm of the gain and bias that give the visible points of a the mean and contrast that b has
-    /// there.
+    /// Logarithm of the gain and bias that give the visible points of a the mean and contrast that
+    /// b has there.
     #[must_use]
     pub fn matching_brightness(&self) -> Option<(f64, f64)> {
         let ([mean_a, mean_b], [var_a, var_b], _) = self.second_moments()?;
@@ -123,14 +123,16 @@ const PHOTOMETRIC: [usize; 8] = [0, 1, 2, 3, 4, 5, 7, 8];
 /// Unknowns on which the depth residual depends: v along the axis, w across it, scale.
 const DEPTH: [usize; 4] = [2, 3, 4, 6];
 
-/// Residuals of one kind of [`LANES`] points, with weights and derivatives by `N` unknowns; without weight where there is none.
+/// Residuals of one kind of [`LANES`] points, with weights and derivatives by `N` unknowns; without
+/// weight where there is none.
 struct Weighted<V, const N: usize> {
     residual: V,
     weight: V,
     jacobian: [V; N],
 }
 
-/// Sums of `w J^T J` and `w J^T r` of one kind; lanes stay apart, so that the order of the sums is the same on every machine.
+/// Sums of `w J^T J` and `w J^T r` of one kind; lanes stay apart, so that the order of the sums is
+/// the same on every machine.
 struct Equations<V, const N: usize> {
     hessian: [[V; N]; N],
     gradient: [V; N],
@@ -200,8 +202,8 @@ struct Residuals<V> {
     intensities: [V; 2],
 }
 
-/// Builds the normal equations of `points` (of a) against image and depth of b. `stride` uses every n-th
-/// point only.
+/// Builds the normal equations of `points` (of a) against image and depth of b. `stride` uses every
+/// n-th point only.
 #[must_use]
 pub fn linearize_similarity(
     points: &ReferenceLevel,
@@ -314,7 +316,8 @@ fn weigh<L: Lanes>(
     (photometric, depth)
 }
 
-/// Weights for squared normalised residuals, and their costs: summands (Huber) or factors under the logarithm (Student t).
+/// Weights for squared normalised residuals, and their costs: summands (Huber) or factors under the
+/// logarithm (Student t).
 #[inline(always)]
 fn robust_weight<L: Lanes>(
     lanes: L,
@@ -390,8 +393,8 @@ impl Projection {
         }
     }
 
-    /// With `m` the viewing direction and `d` the inverse depth, `q = s R m + t d` is the position in b
-    /// times `d`.
+    /// With `m` the viewing direction and `d` the inverse depth, `q = s R m + t d` is the position
+    /// in b times `d`.
     #[inline(always)]
     fn residuals<L: Lanes>(
         &self,

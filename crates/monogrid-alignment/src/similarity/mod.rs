@@ -8,12 +8,12 @@
 //! r_d = 1/z(q) - D_b(pi(q))               variance  V_b + (dr_d/dd)^2 V_a
 //! ```
 //!
-//! with `q = b_from_a * (m / d)`, coarse to fine → [`align_reciprocally`] does it in both directions
-//! and fuses the two when they agree.
+//! with `q = b_from_a * (m / d)`, coarse to fine → [`align_reciprocally`] does it in both
+//! directions and fuses the two when they agree.
 //!
-//! Conventions: tangents `[v, w, s]`, updates on the left of `b_from_a`, so in the coordinates and units
-//! of `b`. The derivative of `D_b` by the position is neglected, as in `[ECCV14]`: depth is looked up at
-//! the nearest pixel.
+//! Conventions: tangents `[v, w, s]`, updates on the left of `b_from_a`, so in the coordinates and
+//! units of `b`. The derivative of `D_b` by the position is neglected, as in `[ECCV14]`: depth is
+//! looked up at the nearest pixel.
 //!
 //! Reference: `[ECCV14]` Engel, Schöps, Cremers, *LSD-SLAM*, section 3.5 (equations 15 to 19); the
 //! bivariate Student-t weight in place of its joint Huber weight after `[DVO13]`.

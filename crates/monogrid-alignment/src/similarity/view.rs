@@ -31,7 +31,8 @@ impl DepthLevel {
         }
     }
 
-    /// Inverse depths and variances at the nearest pixels, for those of the mask; variance 0 where nothing is known.
+    /// Inverse depths and variances at the nearest pixels, for those of the mask; variance 0 where
+    /// nothing is known.
     #[inline(always)]
     pub(crate) fn nearest_lanes<L: Lanes>(
         &self,

@@ -207,7 +207,8 @@ fn an_empty_reference_or_a_blank_image_is_no_panic() {
     assert!(result.motion.frame_from_keyframe.is_finite());
 }
 
-/// One point with an uncertain depth, before an image that rises steadily to the right and downwards.
+/// One point with an uncertain depth, before an image that rises steadily to the right and
+/// downwards.
 struct OnePoint {
     point: ReferenceLevel,
     target: Target,

@@ -1,4 +1,5 @@
-//! The normal equations of Sim(3) against numeric differentiation, and recovery of known similarities.
+//! The normal equations of Sim(3) against numeric differentiation, and recovery of known
+//! similarities.
 
 use crate::plane::{PINHOLE, render, samples};
 use monogrid_alignment::{
@@ -154,8 +155,8 @@ fn information_is_as_large_as_the_error_says() {
         }
         view(&image, &points)
     };
-    // Even with independent pixels eight count as one: noise in depths shrinks the motion a little, noise
-    // in gradients counts as contrast.
+    // Even with independent pixels eight count as one: noise in depths shrinks the motion a little,
+    // noise in gradients counts as contrast.
     let config = SimilarityConfig {
         shared_depth_sigma: 0.0,
         finest_level: 0,

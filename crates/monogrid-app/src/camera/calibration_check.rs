@@ -11,8 +11,8 @@ use monogrid_slam::{KeptKeyframe, Slam};
 const MAX_WINDOWS: usize = 5;
 const MAX_FRAMES: usize = 300;
 
-/// Focal lengths that differ by less than this share are not worth a word, however certain they are:
-/// the estimate itself is off by up to 6 % on a lens with strong distortion.
+/// Focal lengths that differ by less than this share are not worth a word, however certain they
+/// are: the estimate itself is off by up to 6 % on a lens with strong distortion.
 const MIN_FOCAL_DIFFERENCE: f64 = 0.08;
 
 /// The same for the principal point, as a share of the longer side of the image.
@@ -21,7 +21,8 @@ const MIN_CENTRE_DIFFERENCE: f64 = 0.05;
 /// Standard deviations beyond which a calibration is doubted.
 const MIN_DIFFERENCE_SIGMAS: f64 = 3.0;
 
-/// How much more freedom the principal point gets when that of a calibration is far from the middle.
+/// How much more freedom the principal point gets when that of a calibration is far from the
+/// middle.
 const CENTRE_FREEDOM: f64 = 7.5;
 
 /// Widest horizontal field of view that is compared, degrees: two terms of distortion do not hold
@@ -31,13 +32,15 @@ const MAX_COMPARED_FOV_DEG: f64 = 100.0;
 /// Keyframes after which a run asks its map for the first time; then whenever they have doubled.
 const EARLY_KEYFRAMES: usize = 12;
 
-/// Keyframes of a piece of the map: few enough that pieces disagree where a wrong calibration makes the map drift.
+/// Keyframes of a piece of the map: few enough that pieces disagree where a wrong calibration makes
+/// the map drift.
 const VIEWS_PER_PIECE: usize = 10;
 
-/// What a map may say else than the calibration before the images are asked: changes of the focal length (share; of all
-/// together, and of each piece that is certain to 10 %) and of the principal point (share of the longer side). Maps made
-/// with right calibrations say up to 2.8 %, 5 % and 2.7 % (of twelve keyframes); those made with wrong ones stay near
-/// them, and still some piece says 17 % or the centre 6.8 %.
+/// What a map may say else than the calibration before the images are asked: changes of the focal
+/// length (share; of all together, and of each piece that is certain to 10 %) and of the principal
+/// point (share of the longer side). Maps made with right calibrations say up to 2.8 %, 5 % and 2.7
+/// % (of twelve keyframes); those made with wrong ones stay near them, and still some piece says 17
+/// % or the centre 6.8 %.
 const MAX_FOCAL_CHANGE: f64 = 0.05;
 const MAX_PIECE_FOCAL_CHANGE: f64 = 0.1;
 const MAX_PIECE_SIGMA: f64 = 0.1;
@@ -46,8 +49,8 @@ const MAX_CENTRE_CHANGE: f64 = 0.043;
 /// Share of the frames with a pose below which a run with a small map has the images asked.
 const POOR_SHARE: f64 = 0.5;
 
-/// Checks the calibration that a run was given against the map that it makes; where the map disagrees, or comes to
-/// nothing, the images themselves are asked.
+/// Checks the calibration that a run was given against the map that it makes; where the map
+/// disagrees, or comes to nothing, the images themselves are asked.
 #[derive(Debug)]
 pub struct CalibrationCheck<'a> {
     /// `None` where there is nothing to check.
@@ -93,7 +96,8 @@ impl<'a> CalibrationCheck<'a> {
         left_radial_by_map(slam, taken_out)
     }
 
-    /// After the run, of whose frames this share has a pose: all that is known against the calibration.
+    /// After the run, of whose frames this share has a pose: all that is known against the
+    /// calibration.
     pub fn end(&self, (slam, taken_out): (&Slam, &TakenOut), share_with_pose: f64) -> Vec<String> {
         match self.input {
             Some(input) if self.warnings.is_empty() => {
@@ -139,8 +143,9 @@ fn against(input: &Input, shown: &Estimate) -> Vec<String> {
     )]
 }
 
-/// Whether a map says too little about its camera, so that the images must: it leaves the focal length open, or is very small though most
-/// frames have no pose. A map that a wrong calibration has bent agrees with it the better, the shorter it is.
+/// Whether a map says too little about its camera, so that the images must: it leaves the focal
+/// length open, or is very small though most frames have no pose. A map that a wrong calibration
+/// has bent agrees with it the better, the shorter it is.
 fn says_too_little(shown: &Estimate, share_with_pose: f64) -> bool {
     match shown.num_windows {
         0 => share_with_pose < POOR_SHARE,
@@ -148,8 +153,8 @@ fn says_too_little(shown: &Estimate, share_with_pose: f64) -> bool {
     }
 }
 
-/// Whether a map shows the camera that it was made with: its focal length, and the principal point to a share of the
-/// longer side.
+/// Whether a map shows the camera that it was made with: its focal length, and the principal point
+/// to a share of the longer side.
 fn is_as_given(focal: f64, centre_offset: f64, shown: &Estimate) -> bool {
     let change = |shown: f64| (shown / focal).ln().abs();
     let mut certain = (shown.each_focal.iter()).filter(|(_, sigma)| *sigma <= MAX_PIECE_SIGMA);
@@ -217,7 +222,8 @@ fn is_centre_doubted(centre: &Vec2, free: &Estimate, limit_px: f64) -> bool {
         && difference.component_div(&sigma).norm() > MIN_DIFFERENCE_SIGMAS
 }
 
-/// Focal length in the middle of the image (whatever the model of distortion) and principal point, px.
+/// Focal length in the middle of the image (whatever the model of distortion) and principal point,
+/// px.
 fn middle(camera: &Camera) -> Option<(f64, Vec2)> {
     let step = 1e-3;
     let centre = camera.project(&Vec3::z())?;

@@ -1,7 +1,8 @@
 //! What the points of a map say about the camera that made it.
 //!
-//! The sparse layer sees hundreds of points from many keyframes: adjusted with the camera free, they show it better than
-//! corners followed over the first seconds, at the cost of some twenty milliseconds per ten keyframes.
+//! The sparse layer sees hundreds of points from many keyframes: adjusted with the camera free,
+//! they show it better than corners followed over the first seconds, at the cost of some twenty
+//! milliseconds per ten keyframes.
 //!
 //! So a calibration that was given is checked (`calibration_check`), a camera that nobody gave is
 //! refined after a first pass (`refine`), a rolling shutter is found (`rolling`), and radial
@@ -29,8 +30,8 @@ pub fn as_calibrated(slam: &Slam) -> Intrinsics {
     }
 }
 
-/// The camera of the images in working pixels that the main map shows in pieces of `num_views` keyframes, when `guess`
-/// is about right.
+/// The camera of the images in working pixels that the main map shows in pieces of `num_views`
+/// keyframes, when `guess` is about right.
 pub fn shown_by_map(
     slam: &Slam,
     num_views: usize,
@@ -47,25 +48,26 @@ pub fn shown_by_map(
 /// Keyframes of a piece of the map that is asked for the rolling shutter.
 const VIEWS_FOR_READOUT: usize = 20;
 
-/// Standard deviation of the logarithm of the focal length by which a calibration may be off where something else is in question.
+/// Standard deviation of the logarithm of the focal length by which a calibration may be off where
+/// something else is in question.
 const FOCAL_SIGMA: f64 = 0.02;
 
-/// Standard deviation of the radial distortion that a calibration has left in undistorted images: rectified images of
-/// KITTI keep 0.025.
+/// Standard deviation of the radial distortion that a calibration has left in undistorted images:
+/// rectified images of KITTI keep 0.025.
 pub const LEFT_RADIAL: f64 = 0.03;
 
 /// Standard deviation of what is not in question.
 pub const HELD: f64 = 1e-6;
 
-/// Time from the first row of an image to the last as the main map shows it, ms; `None` where it does not show that it takes
-/// any. `camera` is that of the working images.
+/// Time from the first row of an image to the last as the main map shows it, ms; `None` where it
+/// does not show that it takes any. `camera` is that of the working images.
 pub fn readout_ms_by_map(slam: &Slam, camera: &Intrinsics, taken_out: &TakenOut) -> Option<f64> {
     let (share, _) = nearly(slam, camera, FOCAL_SIGMA, taken_out)?.readout()?;
     Some(share * Motion::of(slam).interval_ns / 1e6)
 }
 
-/// A camera as the main map shows it that may be off in its focal length (standard deviation of the logarithm), radial distortion and
-/// rolling shutter; `None` without a keyframe.
+/// A camera as the main map shows it that may be off in its focal length (standard deviation of the
+/// logarithm), radial distortion and rolling shutter; `None` without a keyframe.
 fn nearly(
     slam: &Slam,
     camera: &Intrinsics,
@@ -87,14 +89,15 @@ fn nearly(
     ))
 }
 
-/// Standard deviations by which the radial distortion that is left must differ from none, and the least that matters where the image
-/// ends, px.
+/// Standard deviations by which the radial distortion that is left must differ from none, and the
+/// least that matters where the image ends, px.
 const LEFT_SIGMAS: f64 = 2.0;
 const MIN_LEFT_PX: f64 = 0.5;
 
-/// Radial distortion that the calibration has left in the working images, as the main map shows it: a ray at `x` from the axis is seen
-/// at `x (1 + radial |x|^2)`. `None` where it does not show any that another focal length would not explain as well; what is found
-/// belongs to the focal length of the calibration.
+/// Radial distortion that the calibration has left in the working images, as the main map shows it:
+/// a ray at `x` from the axis is seen at `x (1 + radial |x|^2)`. `None` where it does not show any
+/// that another focal length would not explain as well; what is found belongs to the focal length
+/// of the calibration.
 pub fn left_radial_by_map(slam: &Slam, taken_out: &TakenOut) -> Option<f64> {
     let size = working_size(slam)?;
     let camera = as_calibrated(slam);
@@ -114,8 +117,8 @@ fn is_shown((radial, sigma): (f64, f64)) -> bool {
     radial.abs() >= LEFT_SIGMAS * sigma
 }
 
-/// Whether distortion is there, as it is with the focal length free (and its standard deviation) and with that of the calibration (and
-/// what it comes to where the image ends, px).
+/// Whether distortion is there, as it is with the focal length free (and its standard deviation)
+/// and with that of the calibration (and what it comes to where the image ends, px).
 fn is_left(with_focal: (f64, f64), (radial, at_corner_px): (f64, f64)) -> bool {
     is_shown(with_focal) && radial * with_focal.0 > 0.0 && at_corner_px.abs() > MIN_LEFT_PX
 }
@@ -164,8 +167,8 @@ impl TakenOut {
     }
 }
 
-/// The main map as a scene: its finished keyframes are the views. Pixels are those that the camera saw, before its rolling shutter
-/// was taken out.
+/// The main map as a scene: its finished keyframes are the views. Pixels are those that the camera
+/// saw, before its rolling shutter was taken out.
 fn scene(slam: &Slam, guess: &Intrinsics, taken_out: &TakenOut) -> Scene {
     let snapshot = slam.snapshot();
     let pinhole: &Pinhole = slam.pinhole();
@@ -228,7 +231,8 @@ struct View {
     world_from_camera: Se3,
     /// The poses of the frames before and after it.
     around: Option<[TrajectoryPose; 2]>,
-    /// The rolling shutter that was taken out of its image, in shares of the time from frame to frame.
+    /// The rolling shutter that was taken out of its image, in shares of the time from frame to
+    /// frame.
     taken_out: f64,
 }
 
@@ -273,7 +277,8 @@ impl Motion {
     }
 }
 
-/// Frames before and after another that are further apart than this many intervals do not show how it moved.
+/// Frames before and after another that are further apart than this many intervals do not show how
+/// it moved.
 const MAX_GAP: f64 = 3.0;
 
 #[cfg(test)]

@@ -12,20 +12,22 @@ use monogrid_pipeline::{ReadOn, Reading, SourceFrame, read_ahead};
 use monogrid_slam::{FrameInput, Slam};
 use std::ops::ControlFlow;
 
-/// Length of the first pass: half a minute, after which more says little more, of a video with many frames per second too; where
-/// there are few, as many as half a minute has at 30 per second.
+/// Length of the first pass: half a minute, after which more says little more, of a video with many
+/// frames per second too; where there are few, as many as half a minute has at 30 per second.
 const MAX_LENGTH_NS: i64 = 30_000_000_000;
 const MIN_FRAMES: usize = 900;
 const MAX_FRAMES: usize = 1800;
 
-/// Keyframes of a piece of the map: the longer, the better does it hold the distortion and the principal point.
+/// Keyframes of a piece of the map: the longer, the better does it hold the distortion and the
+/// principal point.
 const VIEWS_PER_PIECE: usize = 20;
 
-/// How much more freedom the principal point gets than in the first seconds: a map holds it to two or three pixels.
+/// How much more freedom the principal point gets than in the first seconds: a map holds it to two
+/// or three pixels.
 const CENTRE_FREEDOM: f64 = 5.0;
 
-/// Runs through the beginning of a source that can be read again and replaces its camera by what the map shows; where
-/// that is too little, the camera stays as it is.
+/// Runs through the beginning of a source that can be read again and replaces its camera by what
+/// the map shows; where that is too little, the camera stays as it is.
 pub fn refine(input: &mut Input, config: &RunConfig) -> Result<(), Failure> {
     eprintln!("a first pass over the video refines the camera");
     if input.own_calibration.is_none()
@@ -175,8 +177,8 @@ fn refined_given((slam, taken_out): (&Slam, &TakenOut), input: &Input) -> Option
     given_as_shown(input.camera(), &guess, &shown, &input.interpretation)
 }
 
-/// A given camera with the focal length, the principal point and the radial distortion changed as the map shows, if it
-/// does.
+/// A given camera with the focal length, the principal point and the radial distortion changed as
+/// the map shows, if it does.
 fn given_as_shown(
     given: &Camera,
     guess: &Intrinsics,
@@ -211,8 +213,9 @@ fn given_as_shown(
     })
 }
 
-/// The distortion of a lens before which there is another: that one enlarges by `ratio` and has the radial term `left`.
-/// Up to the fourth power of the radius; a model that knows no radial terms stays.
+/// The distortion of a lens before which there is another: that one enlarges by `ratio` and has the
+/// radial term `left`. Up to the fourth power of the radius; a model that knows no radial terms
+/// stays.
 fn two_lenses(given: Distortion, ratio: f64, left: f64) -> Distortion {
     let (k1, k2, p1, p2, k3) = match given {
         Distortion::None => (0.0, 0.0, 0.0, 0.0, 0.0),

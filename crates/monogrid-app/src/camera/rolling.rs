@@ -1,19 +1,22 @@
 //! A rolling shutter that nobody told of, found in the map while a run goes on.
 //!
-//! The points of the map are seen from many keyframes. Where rows are read one after the other, each of them is off by what the image
-//! moves in the time between its row and the middle one, which no pose explains. From eight keyframes on that shows how long the
-//! camera takes; from then on images are rectified as they are read.
+//! The points of the map are seen from many keyframes. Where rows are read one after the other,
+//! each of them is off by what the image moves in the time between its row and the middle one,
+//! which no pose explains. From eight keyframes on that shows how long the camera takes; from then
+//! on images are rectified as they are read.
 
 use crate::camera::map_camera::{TakenOut, as_calibrated, readout_ms_by_map};
 use crate::input::{Images, Input};
 use monogrid_pipeline::ReadOn;
 use monogrid_slam::Slam;
 
-/// Keyframes after which the map is asked for the first time; then whenever they have doubled: points that the shutter bends most
-/// are not in the map before it is taken out, so that the first answers are two thirds of what there is.
+/// Keyframes after which the map is asked for the first time; then whenever they have doubled:
+/// points that the shutter bends most are not in the map before it is taken out, so that the first
+/// answers are two thirds of what there is.
 const FIRST_AT: usize = 8;
 
-/// A change that is too small to matter, ms: a tenth of a pixel at the border of an image that moves by ten from frame to frame.
+/// A change that is too small to matter, ms: a tenth of a pixel at the border of an image that
+/// moves by ten from frame to frame.
 const MIN_CHANGE_MS: f64 = 1.0;
 
 /// Looks for a rolling shutter in the map of a run.
@@ -30,7 +33,8 @@ pub struct ShutterSearch {
 }
 
 impl ShutterSearch {
-    /// Before the first frame. Nothing is looked for where the shutter was given, or known with the camera.
+    /// Before the first frame. Nothing is looked for where the shutter was given, or known with the
+    /// camera.
     pub fn new(input: &Input) -> Self {
         let is_rendered = matches!(input.images, Images::Rendered(_));
         let known_ms = input.preparation.readout_ms();

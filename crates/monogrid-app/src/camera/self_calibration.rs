@@ -15,8 +15,8 @@ use std::path::Path;
 /// main cameras of phones while filming and those of laptops.
 const ASSUMED_FOV_DEG: f64 = 62.0;
 
-/// How the focal length that a camera wrote into its images may differ from that of the images, relative: what was
-/// cropped or stabilised sees less.
+/// How the focal length that a camera wrote into its images may differ from that of the images,
+/// relative: what was cropped or stabilised sees less.
 const EXIF_SIGMA: f64 = 0.12;
 
 /// What is expected of a camera before its images are looked at.
@@ -76,7 +76,8 @@ impl Expected {
         }
     }
 
-    /// What is known before anything was seen; the principal point has `centre_freedom` times its ordinary freedom.
+    /// What is known before anything was seen; the principal point has `centre_freedom` times its
+    /// ordinary freedom.
     pub fn prior(&self, size: (usize, usize), centre_freedom: f64) -> Prior {
         let mut prior = Prior::ordinary(self.fov_deg, size);
         if let Some((longer, middle)) = self.picture {
@@ -244,7 +245,8 @@ impl OwnCalibration {
         })
     }
 
-    /// Name and content of the calibration file: one line of numbers, or TOML where these cannot say the distortion.
+    /// Name and content of the calibration file: one line of numbers, or TOML where these cannot
+    /// say the distortion.
     pub fn file(&self) -> (&'static str, String) {
         match self.camera.distortion {
             Distortion::None | Distortion::RadialTangential { k3: 0.0, .. } => {
@@ -329,8 +331,8 @@ pub fn windows_of(
     collector.finish()
 }
 
-/// What windows at working size say about the camera of images of this size; the principal point has
-/// `centre_freedom` times its ordinary freedom.
+/// What windows at working size say about the camera of images of this size; the principal point
+/// has `centre_freedom` times its ordinary freedom.
 pub fn estimate(
     windows: &[Window],
     size: (usize, usize),

@@ -40,8 +40,8 @@ pub fn registered_depth(
     })
 }
 
-/// The depth calibration: from a file, else the source's own, else the colour camera's with the units
-/// of TUM RGB-D.
+/// The depth calibration: from a file, else the source's own, else the colour camera's with the
+/// units of TUM RGB-D.
 pub fn depth_calibration(
     dataset: &Dataset,
     file: Option<&Path>,

@@ -1,16 +1,17 @@
-//! What the colour of a keyframe is made from and nobody can read again: the colours of a video, which is read only once, and how a
-//! rolling shutter was taken out of an image. Kept of the last frames until it is known which become keyframes, and of those until
-//! they are recorded.
+//! What the colour of a keyframe is made from and nobody can read again: the colours of a video,
+//! which is read only once, and how a rolling shutter was taken out of an image. Kept of the last
+//! frames until it is known which become keyframes, and of those until they are recorded.
 //!
-//! What is kept follows from the order in which frames are tracked, not from when they were read, so that a recording does not
-//! depend on how far the reader is ahead.
+//! What is kept follows from the order in which frames are tracked, not from when they were read,
+//! so that a recording does not depend on how far the reader is ahead.
 
 use monogrid_pipeline::Rectification;
 use monogrid_video::Colour;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Memory for frames that may still become keyframes: those of the last ten seconds, since a map starts with a frame before.
+/// Memory for frames that may still become keyframes: those of the last ten seconds, since a map
+/// starts with a frame before.
 const MAX_BYTES: usize = 12 << 20;
 
 /// What is kept, by number of the frame.

@@ -47,7 +47,8 @@ pub enum Images {
 }
 
 impl Images {
-    /// All frames in order, as the camera took them; none of what is rendered. What a video shows beside luma goes to `colours`.
+    /// All frames in order, as the camera took them; none of what is rendered. What a video shows
+    /// beside luma goes to `colours`.
     fn items<'a>(
         &'a self,
         (frames, reading): (&[FrameEntry], &'a Reading),
@@ -71,7 +72,8 @@ impl Images {
         }
     }
 
-    /// The images that can be read and their times, ns, until the source ends; where it breaks off, why goes to `broke_off`.
+    /// The images that can be read and their times, ns, until the source ends; where it breaks off,
+    /// why goes to `broke_off`.
     fn readable<'a>(
         &'a self,
         source: (&[FrameEntry], &'a Reading),
@@ -156,7 +158,8 @@ impl RawInput {
         })
     }
 
-    /// The images that can be read (grey, 0 to 255), once; where the source breaks off, why goes to `broke_off`.
+    /// The images that can be read (grey, 0 to 255), once; where the source breaks off, why goes to
+    /// `broke_off`.
     pub fn images<'a>(
         &'a self,
         broke_off: impl FnMut(Unusable) + 'a,
@@ -187,8 +190,8 @@ impl RawInput {
         Ok((size, ReadoutDirection::of_size(size)))
     }
 
-    /// The calibration that was named, lies in the source, or was recorded with the images; the field of view in its place
-    /// stands above the latter two.
+    /// The calibration that was named, lies in the source, or was recorded with the images; the
+    /// field of view in its place stands above the latter two.
     fn calibration(
         &self,
         args: &SourceArgs,
@@ -284,7 +287,8 @@ pub struct Input {
     pub own_calibration: Option<OwnCalibration>,
     /// From images of the camera to working images.
     pub preparation: Preparation,
-    /// Whether somebody said how long the camera takes from the first row to the last, or that it takes no time.
+    /// Whether somebody said how long the camera takes from the first row to the last, or that it
+    /// takes no time.
     pub is_shutter_known: bool,
     /// The inertial sensor beside the camera, where there is one.
     pub inertial: Option<Inertial>,
@@ -308,7 +312,8 @@ pub struct CameraOfInput {
 }
 
 impl Input {
-    /// Opens a source. Its images are worked with at the `usual` size, where the arguments say no other.
+    /// Opens a source. Its images are worked with at the `usual` size, where the arguments say no
+    /// other.
     pub fn open(source: &Path, args: &SourceArgs, usual: WorkingSize) -> Result<Self, Failure> {
         let raw = RawInput::open(source, args)?;
         let (size, direction) = raw.shape()?;
@@ -379,7 +384,8 @@ impl Input {
         }
     }
 
-    /// The images that can be read, from the first one on; none of what can be read only once, or is rendered.
+    /// The images that can be read, from the first one on; none of what can be read only once, or
+    /// is rendered.
     pub fn images_again(&self) -> Box<dyn Iterator<Item = GrayImage> + '_> {
         Box::new(self.timed_images_again().map(|(_, image)| image))
     }
@@ -517,7 +523,8 @@ impl Input {
         }
     }
 
-    /// All frames one after the other; a stream has them only once. What a video shows beside luma goes to `colours`.
+    /// All frames one after the other; a stream has them only once. What a video shows beside luma
+    /// goes to `colours`.
     pub fn source<'a>(
         &'a self,
         colours: Option<&'a FrameColours>,
@@ -719,7 +726,8 @@ fn preparation(
 /// How much the two ratios of sizes may differ: a rounded row or column.
 const MAX_ASPECT_CHANGE: f64 = 0.005;
 
-/// Brings a calibration of another size, but the same picture, to the size of the images; a note says so.
+/// Brings a calibration of another size, but the same picture, to the size of the images; a note
+/// says so.
 fn scale_to(calibration: &mut Calibration, (width, height): (usize, usize)) -> Result<(), Failure> {
     let camera = &mut calibration.camera;
     let (found_width, found_height) = (camera.width, camera.height);

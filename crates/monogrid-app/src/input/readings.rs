@@ -1,4 +1,5 @@
-//! The inertial sensor beside the camera: its readings as they come in, and what they say of a path.
+//! The inertial sensor beside the camera: its readings as they come in, and what they say of a
+//! path.
 
 use crate::args::SourceArgs;
 use crate::process::failure::{Classify, Failure};
@@ -44,7 +45,8 @@ const SLOW_SECS: f64 = 0.012;
 const GAP_SECS: f64 = 0.06;
 
 impl Inertial {
-    /// The file that was named, else the one that lies in the source; `None` without any, or with `--imu none`.
+    /// The file that was named, else the one that lies in the source; `None` without any, or with
+    /// `--imu none`.
     pub fn open(
         args: &SourceArgs,
         dataset: Option<&Dataset>,
@@ -200,11 +202,13 @@ impl ImuFacts {
     }
 }
 
-/// Smallest ranges that sensors can be set to: 125 degrees per second and 2 g; rad/s and m/s², less what their scale may be off.
+/// Smallest ranges that sensors can be set to: 125 degrees per second and 2 g; rad/s and m/s², less
+/// what their scale may be off.
 const GYROSCOPE_RANGE: f64 = 2.1;
 const ACCELEROMETER_RANGE: f64 = 19.0;
 
-/// Readings at the largest value, where more than two have exactly that and it may be the end of a range.
+/// Readings at the largest value, where more than two have exactly that and it may be the end of a
+/// range.
 fn saturated(samples: &[ImuSample], least_range: f64, value: fn(&ImuSample) -> f64) -> usize {
     let largest = samples.iter().map(value).fold(0.0, f64::max);
     let count = samples.iter().filter(|s| value(s) == largest).count();

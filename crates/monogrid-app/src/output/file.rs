@@ -17,12 +17,14 @@ pub struct OutputFile {
 }
 
 impl OutputFile {
-    /// Refuses a path where something exists, unless it is a file and `force` is given, and what is read always.
+    /// Refuses a path where something exists, unless it is a file and `force` is given, and what is
+    /// read always.
     pub fn new(path: &Path, force: bool, inputs: &Inputs) -> Result<Self, Failure> {
         Self::of_folder(None, path, force, inputs)
     }
 
-    /// As [`Self::new`], for a file that is written with an output folder: that of an earlier call is replaced with the folder.
+    /// As [`Self::new`], for a file that is written with an output folder: that of an earlier call
+    /// is replaced with the folder.
     pub fn of_folder(
         folder: Option<&Path>,
         path: &Path,
@@ -100,7 +102,8 @@ impl OutputFile {
     }
 }
 
-/// The name in a manifest of a file that lies outside of its folder: its whole path. `None` where it cannot be written there.
+/// The name in a manifest of a file that lies outside of its folder: its whole path. `None` where
+/// it cannot be written there.
 pub(super) fn name_beside(path: &Path) -> Option<String> {
     let place = place_of_file(path)?;
     let name = place.to_str()?;

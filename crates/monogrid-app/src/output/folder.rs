@@ -16,7 +16,8 @@ use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// An output folder that was checked to be usable, and that nobody else uses as long as this exists.
+/// An output folder that was checked to be usable, and that nobody else uses as long as this
+/// exists.
 #[derive(Debug)]
 pub struct OutputFolder {
     path: PathBuf,
@@ -36,9 +37,11 @@ enum Earlier {
 }
 
 impl OutputFolder {
-    /// A folder for a new result: made if there is none; what an earlier call wrote into it is removed.
+    /// A folder for a new result: made if there is none; what an earlier call wrote into it is
+    /// removed.
     ///
-    /// With `force` it may hold other things, which stay as long as they have the name of no file that is written.
+    /// With `force` it may hold other things, which stay as long as they have the name of no file
+    /// that is written.
     pub fn replace(path: &Path, force: bool, inputs: &Inputs) -> Result<Self, Failure> {
         Self::open(path, force, inputs, Earlier::Removed)
     }
@@ -89,8 +92,8 @@ impl OutputFolder {
         file.write_listed(Some(&self.manifest), write)
     }
 
-    /// Refuses what [`Self::resume`] would refuse, and changes nothing. A folder that does not exist, or into which another
-    /// process writes, is not looked into.
+    /// Refuses what [`Self::resume`] would refuse, and changes nothing. A folder that does not
+    /// exist, or into which another process writes, is not looked into.
     pub fn check(path: &Path, force: bool) -> Result<(), Failure> {
         if !path.exists() {
             return Ok(());
@@ -98,8 +101,9 @@ impl OutputFolder {
         inspect(path, force, &Inputs::default(), Nested::Searched).map(|_| ())
     }
 
-    /// A folder in which nothing lies but other output folders, each with a manifest of its own. It is made if there is none
-    /// and marked as ours; nobody holds it, so that several processes may work on the folders in it.
+    /// A folder in which nothing lies but other output folders, each with a manifest of its own. It
+    /// is made if there is none and marked as ours; nobody holds it, so that several processes may
+    /// work on the folders in it.
     pub fn of_folders(path: &Path, force: bool, inputs: &Inputs) -> Result<(), Failure> {
         fs::create_dir_all(path).map_err(|error| unusable(path, &error))?;
         // others hold it for as long as they look through it
@@ -180,7 +184,8 @@ impl OutputFolder {
         file.commit().while_running(&doing)
     }
 
-    /// The path of a file that grows and is written by somebody else. What has that name is removed.
+    /// The path of a file that grows and is written by somebody else. What has that name is
+    /// removed.
     pub fn begin(&self, name: &str) -> Result<PathBuf, Failure> {
         let path = self.place(name)?;
         let doing = format!("{} cannot be replaced", path.display());

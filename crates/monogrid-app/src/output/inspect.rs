@@ -36,7 +36,8 @@ pub struct Entry {
     pub is_file: bool,
 }
 
-/// Looks through a folder that exists; refuses it where it must not be used. `None` where another process writes into it.
+/// Looks through a folder that exists; refuses it where it must not be used. `None` where another
+/// process writes into it.
 pub fn inspect(
     path: &Path,
     force: bool,
@@ -49,7 +50,8 @@ pub fn inspect(
             path.display()
         )));
     }
-    // held first where there is something to hold, so that nothing changes while it is looked through
+    // held first where there is something to hold, so that nothing changes while it is looked
+    // through
     let opened = || match Manifest::open(path) {
         Ok(opened) => Ok(Some(opened)),
         Err(OpenError::Busy) => Ok(None),

@@ -1,9 +1,10 @@
 //! The list of what was written into a folder, kept in it while it is written.
 //!
-//! One line per file: CRC-32 (hexadecimal), size in bytes, name with `/`. A `+` after the size says that the file grows:
-//! it begins with so many bytes of that sum. Later lines replace earlier ones, so that lines are only ever
-//! appended, each *before* its file gets its name: a process that is killed leaves no file that is not listed. A file that is
-//! written with the folder and lies outside of it (`--mcap`) has its whole path for a name.
+//! One line per file: CRC-32 (hexadecimal), size in bytes, name with `/`. A `+` after the size says
+//! that the file grows: it begins with so many bytes of that sum. Later lines replace earlier ones,
+//! so that lines are only ever appended, each *before* its file gets its name: a process that is
+//! killed leaves no file that is not listed. A file that is written with the folder and lies
+//! outside of it (`--mcap`) has its whole path for a name.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions, TryLockError};
@@ -83,7 +84,8 @@ impl Manifest {
         Ok((this, listed))
     }
 
-    /// What the manifest of a folder lists, also while somebody holds it; `None` where there is none.
+    /// What the manifest of a folder lists, also while somebody holds it; `None` where there is
+    /// none.
     pub fn read(folder: &Path) -> Option<Listed> {
         let path = folder.join(MANIFEST);
         let file = path.is_file().then(|| File::open(&path).ok())??;
@@ -155,7 +157,8 @@ impl Listed {
         outside.map(|(name, (digest, content))| (name.as_str(), *digest, *content))
     }
 
-    /// Whether a file is one of ours, as it was written: listed, or the half of one that a killed process left.
+    /// Whether a file is one of ours, as it was written: listed, or the half of one that a killed
+    /// process left.
     pub fn is_ours(&self, name: &str, path: &Path) -> bool {
         let file = name.rsplit_once('/').map_or(name, |(_, file)| file);
         let is_part =

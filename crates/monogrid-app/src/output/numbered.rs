@@ -10,7 +10,8 @@ const RUNS: &str = "runs";
 /// The name that leads to the last of them.
 const LATEST: &str = "latest";
 
-/// A new folder `runs/NAME`, or `runs/NAME-2`, ... where that exists; `runs/latest` leads to it from now on.
+/// A new folder `runs/NAME`, or `runs/NAME-2`, ... where that exists; `runs/latest` leads to it
+/// from now on.
 pub fn numbered_folder(name: &str) -> Result<PathBuf, Failure> {
     let folder = new_folder(Path::new(RUNS), name).map_err(|error| {
         Failure::input(format!(
@@ -43,8 +44,8 @@ fn new_folder(runs: &Path, name: &str) -> io::Result<PathBuf> {
     Err(io::ErrorKind::AlreadyExists.into())
 }
 
-/// Lets `latest` beside a folder lead to it: a link, or where there are none a text file with its name. Whatever
-/// else is called so stays.
+/// Lets `latest` beside a folder lead to it: a link, or where there are none a text file with its
+/// name. Whatever else is called so stays.
 fn point_latest(folder: &Path) -> io::Result<()> {
     let (Some(runs), Some(name)) = (folder.parent(), folder.file_name()) else {
         return Ok(());

@@ -6,11 +6,12 @@ use std::fs;
 use std::path::{Component, Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
-/// Links that are followed before a path is taken for one that leads round in circles, as Linux does.
+/// Links that are followed before a path is taken for one that leads round in circles, as Linux
+/// does.
 const MAX_LINKS: usize = 40;
 
-/// The absolute path without links, `.` and `..` that a path leads to. What does not exist yet is where it would be made,
-/// also behind a link that leads to nothing.
+/// The absolute path without links, `.` and `..` that a path leads to. What does not exist yet is
+/// where it would be made, also behind a link that leads to nothing.
 pub fn resolved(path: &Path) -> PathBuf {
     let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let mut rest = parts(&absolute);
@@ -40,8 +41,8 @@ pub fn resolved(path: &Path) -> PathBuf {
     real.canonicalize().unwrap_or(real)
 }
 
-/// The absolute path of a file that is written: a link of that name is replaced itself, those that lead to it are followed.
-/// `None` where the path ends in no name.
+/// The absolute path of a file that is written: a link of that name is replaced itself, those that
+/// lead to it are followed. `None` where the path ends in no name.
 pub fn place_of_file(path: &Path) -> Option<PathBuf> {
     let folder = path
         .parent()

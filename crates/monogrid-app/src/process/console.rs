@@ -1,9 +1,11 @@
 //! Printing for people who may have stopped reading.
 //!
-//! The standard macros panic when the other end of a pipe is closed (`monogrid info MAP | head`) or the disk is full, and a
-//! run that panics loses its map. These have their names and go on; [`finish`] says in the end what could not be written.
+//! The standard macros panic when the other end of a pipe is closed (`monogrid info MAP | head`) or
+//! the disk is full, and a run that panics loses its map. These have their names and go on;
+//! [`finish`] says in the end what could not be written.
 //!
-//! Names of files, topics and frames come from outside and may hold what a terminal obeys. All text goes through [`printable`].
+//! Names of files, topics and frames come from outside and may hold what a terminal obeys. All text
+//! goes through [`printable`].
 
 pub use monogrid_datasets::printable;
 use std::fmt::{self, Arguments, Write as _};

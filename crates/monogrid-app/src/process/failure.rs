@@ -79,7 +79,8 @@ impl From<ReportError> for Failure {
     }
 }
 
-/// The error and its causes in one sentence; a cause whose text its parent already contains is not repeated.
+/// The error and its causes in one sentence; a cause whose text its parent already contains is not
+/// repeated.
 pub fn render(error: &anyhow::Error) -> String {
     let mut text = String::new();
     for cause in error.chain() {
@@ -115,7 +116,8 @@ pub fn caught(command: impl FnOnce() -> CommandResult) -> CommandResult {
     attempt(command).unwrap_or_else(|message| Err(failed(message)))
 }
 
-/// Says why a command failed; its exit code. A command whose result could not be printed has failed.
+/// Says why a command failed; its exit code. A command whose result could not be printed has
+/// failed.
 pub fn exit_code(result: CommandResult) -> u8 {
     match (result, console::finish()) {
         (Err(failure), _) => failure.report(),

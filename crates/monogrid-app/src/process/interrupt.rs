@@ -1,4 +1,5 @@
-//! Ctrl-C and a request to end (SIGTERM): the first one ends what goes on and saves it, a second one ends the process.
+//! Ctrl-C and a request to end (SIGTERM): the first one ends what goes on and saves it, a second
+//! one ends the process.
 
 use crate::process::failure::{Classify, Failure};
 use monogrid_video::{Aside, Patience, Sink, Waited};
@@ -27,7 +28,8 @@ pub fn is_interrupted() -> bool {
     INTERRUPTED.load(Ordering::Relaxed)
 }
 
-/// Does work in a thread of its own. After an interrupt it may end by itself within a moment; work that does not is left alone.
+/// Does work in a thread of its own. After an interrupt it may end by itself within a moment; work
+/// that does not is left alone.
 ///
 /// # Errors
 /// When it was left alone, or the system has no more threads.

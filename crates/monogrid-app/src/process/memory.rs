@@ -1,7 +1,8 @@
 //! What the allocator of the system does with memory that is free again.
 //!
-//! glibc gives every thread a heap of its own and keeps what was freed in it, between blocks that live long: with images that
-//! are made and dropped for every frame, twice as much memory as is in use.
+//! glibc gives every thread a heap of its own and keeps what was freed in it, between blocks that
+//! live long: with images that are made and dropped for every frame, twice as much memory as is in
+//! use.
 
 #![cfg_attr(
     all(target_os = "linux", target_env = "gnu"),
@@ -25,15 +26,16 @@ pub fn share_heaps() {
     }
 }
 
-/// Gives large blocks back to the system as soon as they are free, for a run that must stay within a limit: matrices of an adjustment
-/// and lists of a report leave no holes. Costs a few percent of the time, since the system fills such blocks with zeros.
+/// Gives large blocks back to the system as soon as they are free, for a run that must stay within
+/// a limit: matrices of an adjustment and lists of a report leave no holes. Costs a few percent of
+/// the time, since the system fills such blocks with zeros.
 pub fn keep_little() {
     // a working image of floats at 640x480 is as large, one at 320x240 is not
     give_back_at_once(512 << 10);
 }
 
-/// The same for smaller blocks, for what comes after the last frame: keyframes are read back one after the other while long lists grow,
-/// and leave holes between them.
+/// The same for smaller blocks, for what comes after the last frame: keyframes are read back one
+/// after the other while long lists grow, and leave holes between them.
 pub fn keep_least() {
     // a level of a pyramid but for its smallest
     give_back_at_once(64 << 10);
@@ -50,7 +52,8 @@ fn give_back_at_once(large: i32) {
     }
 }
 
-/// Gives free memory back to the system. Costs a few milliseconds, and those pages that are needed again their zeros.
+/// Gives free memory back to the system. Costs a few milliseconds, and those pages that are needed
+/// again their zeros.
 pub fn give_back() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     // SAFETY: gives back only pages that no block lies in, behind the allocator's own locks

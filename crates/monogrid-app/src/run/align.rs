@@ -1,7 +1,8 @@
 //! The frame in which results are written.
 //!
-//! It is one similarity, `map_from_world`: of the scene, an inertial sensor, `--up`, `--align`, or the earlier session. Poses are
-//! brought to it before the map is built: a finished map is never resampled.
+//! It is one similarity, `map_from_world`: of the scene, an inertial sensor, `--up`, `--align`, or
+//! the earlier session. Poses are brought to it before the map is built: a finished map is never
+//! resampled.
 
 use crate::process::failure::{Classify, Failure};
 use crate::run::sensed::SensedFrame;
@@ -18,7 +19,8 @@ use std::path::{Path, PathBuf};
 /// What `--up` asks for.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Up {
-    /// Gravity as an inertial sensor has it, else what the scene says, where either is sure enough, else as the first camera was held.
+    /// Gravity as an inertial sensor has it, else what the scene says, where either is sure enough,
+    /// else as the first camera was held.
     #[default]
     Scene,
     /// As the first camera was held, whatever the scene says.
@@ -94,7 +96,8 @@ pub struct KnownGround {
 /// What was found out about up, as `summary.json` says it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct UpSummary {
-    /// `imu`, `scene`, `first-camera`, `given` (`--up x,y,z`), `reference` (`--align`) or `earlier` (`--continue`).
+    /// `imu`, `scene`, `first-camera`, `given` (`--up x,y,z`), `reference` (`--align`) or `earlier`
+    /// (`--continue`).
     pub from: &'static str,
     /// How sure the scene is, from 0 to 1; `null` where it was not asked.
     pub confidence: Option<f64>,
@@ -276,8 +279,8 @@ impl Align {
         self
     }
 
-    /// The frame of the results, given the estimated trajectory in the world of the run. The scene is only looked at
-    /// where it has a say, and so is what an inertial sensor found.
+    /// The frame of the results, given the estimated trajectory in the world of the run. The scene
+    /// is only looked at where it has a say, and so is what an inertial sensor found.
     ///
     /// An alignment that cannot be found is not fatal: the results are written unaligned and the
     /// reason is returned beside them.
@@ -361,8 +364,8 @@ impl MapFrame {
         self
     }
 
-    /// Compares the results with a reference that has not decided their frame; returns the transform from the frame of
-    /// the reference to that of the results.
+    /// Compares the results with a reference that has not decided their frame; returns the
+    /// transform from the frame of the reference to that of the results.
     pub fn compare(
         &mut self,
         trajectory: &[(i64, Se3)],

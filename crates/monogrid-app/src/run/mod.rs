@@ -14,8 +14,8 @@
 //!   -> conclusion::conclude      what the user reads, the exit code
 //! ```
 //!
-//! The threads are those of the pipeline; the recorder is its listener. No result depends on a clock: they are the same for any
-//! number of threads (`--realtime`, which drops frames, excepted).
+//! The threads are those of the pipeline; the recorder is its listener. No result depends on a
+//! clock: they are the same for any number of threads (`--realtime`, which drops frames, excepted).
 
 pub mod align;
 pub mod conclusion;

@@ -162,7 +162,8 @@ fn write_summary(folder: &OutputFolder, summary: &mut Summary) -> Result<(), Fai
     folder.write("summary.json", json + "\n")
 }
 
-/// Writes the run as messages, where it is asked for; what was needed for the maps alone is given back.
+/// Writes the run as messages, where it is asked for; what was needed for the maps alone is given
+/// back.
 fn play(
     folder: &OutputFolder,
     report: &ReportInput,
@@ -274,8 +275,9 @@ fn stamped_path(tracked: &Tracked) -> Vec<(i64, Se3)> {
     tracked.run.trajectory.iter().map(stamped).collect()
 }
 
-/// Where the camera really was, by time and in the frame of the results: the trajectory that decided the frame, else the
-/// one that lies beside the images, with which the results are compared. With it why there is none, if there should be.
+/// Where the camera really was, by time and in the frame of the results: the trajectory that
+/// decided the frame, else the one that lies beside the images, with which the results are
+/// compared. With it why there is none, if there should be.
 fn known_path(
     input: &Input,
     align: &Align,
@@ -359,7 +361,8 @@ fn final_depth(tracked: &mut Tracked, settings: &RunSettings) -> Vec<KeyframeSca
     }
     let count = tracked.run.slam.num_keyframes();
     eprintln!("depth and maps of {count} keyframes at their final poses");
-    // what is kept of each keyframe grows while others are read: the room for them shrinks meanwhile, which changes no result
+    // what is kept of each keyframe grows while others are read: the room for them shrinks
+    // meanwhile, which changes no result
     let keyframes = tracked.run.slam.room();
     let look = || {
         if let Some(limit) = limit {
@@ -387,7 +390,8 @@ fn final_depth(tracked: &mut Tracked, settings: &RunSettings) -> Vec<KeyframeSca
     scans
 }
 
-/// Gives back what is free, for work that takes one keyframe after the other: with a limit they have the least room.
+/// Gives back what is free, for work that takes one keyframe after the other: with a limit they
+/// have the least room.
 fn leave_room(tracked: &Tracked, limit: Option<MemoryLimit>) {
     match limit {
         Some(limit) => limit.squeeze(&tracked.run.slam),

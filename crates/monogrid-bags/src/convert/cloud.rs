@@ -7,7 +7,8 @@ use monogrid_occupancy::{Occupancy, OccupancyMap};
 /// Bytes of each of the numbers of a point.
 pub const BYTES_PER_NUMBER: usize = 4;
 
-/// Points of four numbers: x, y, z (m) and one of the given name, `intensity` or `rgb` (the bits of which are a colour, see [`packed`]).
+/// Points of four numbers: x, y, z (m) and one of the given name, `intensity` or `rgb` (the bits of
+/// which are a colour, see [`packed`]).
 #[must_use]
 pub fn cloud_of(
     header: Header,

@@ -140,8 +140,9 @@ fn pixels(image: &Image, bytes: usize, grey: Grey) -> Result<GrayImage, ImageErr
     GrayImage::from_vec(width, height, values.collect()).ok_or_else(size_error)
 }
 
-/// The mosaic of a sensor with one colour per pixel (Bayer), as grey: weights 1 2 1 in both directions give every pixel
-/// one quarter of red, half of green and one quarter of blue, whichever colour it has itself.
+/// The mosaic of a sensor with one colour per pixel (Bayer), as grey: weights 1 2 1 in both
+/// directions give every pixel one quarter of red, half of green and one quarter of blue, whichever
+/// colour it has itself.
 fn without_mosaic(mosaic: &GrayImage) -> GrayImage {
     let (width, height) = (mosaic.width(), mosaic.height());
     // mirrored at the border, so that colours keep their places

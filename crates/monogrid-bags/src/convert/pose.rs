@@ -59,8 +59,9 @@ pub fn path_of(header: Header, poses: impl IntoIterator<Item = (Time, Se3)>) -> 
     }
 }
 
-/// Where odometry stands, and how fast it moved over the last `seconds`, in the child's frame; `step` is
-/// last_from_this of the child. The velocity of a first pose is not known: it is 0 with a large variance.
+/// Where odometry stands, and how fast it moved over the last `seconds`, in the child's frame;
+/// `step` is last_from_this of the child. The velocity of a first pose is not known: it is 0 with a
+/// large variance.
 #[must_use]
 pub fn odometry_of(
     header: Header,
@@ -92,8 +93,8 @@ pub fn odometry_of(
     }
 }
 
-/// What filters that fuse odometry are told of its error, as wheel odometry does: constants, since the drift of a single
-/// camera's scale is not known. m and rad.
+/// What filters that fuse odometry are told of its error, as wheel odometry does: constants, since
+/// the drift of a single camera's scale is not known. m and rad.
 const POSE_DEVIATIONS: [f64; 2] = [0.1, 0.05];
 /// m/s and rad/s.
 const VELOCITY_DEVIATIONS: [f64; 2] = [0.1, 0.05];

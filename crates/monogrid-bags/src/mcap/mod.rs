@@ -1,5 +1,6 @@
-//! MCAP files (<https://mcap.dev/spec>): magic, records, magic. A record is an opcode, the length of what follows (`u64`) and fields,
-//! all little endian; messages lie in chunks, and behind them a summary says where.
+//! MCAP files (<https://mcap.dev/spec>): magic, records, magic. A record is an opcode, the length
+//! of what follows (`u64`) and fields, all little endian; messages lie in chunks, and behind them a
+//! summary says where.
 
 mod chunk;
 mod read;

@@ -37,7 +37,8 @@ impl Record {
     }
 
     pub fn bytes(self, bytes: &[u8]) -> Self {
-        // not cut: no part of a record is longer than the whole, of which `finish` says whether it is too long
+        // not cut: no part of a record is longer than the whole, of which `finish` says whether it
+        // is too long
         self.u32(bytes.len() as u32).raw(bytes)
     }
 
@@ -70,7 +71,8 @@ impl Record {
     }
 }
 
-/// A file that is only ever appended to: counts what is written, so that nobody has to seek, and keeps its checksum.
+/// A file that is only ever appended to: counts what is written, so that nobody has to seek, and
+/// keeps its checksum.
 pub struct Output<W> {
     pub out: W,
     /// Bytes from the beginning.

@@ -89,7 +89,8 @@ impl Summary {
     }
 }
 
-/// The summary with the record that says where it begins; its checksum covers that record too, up to the checksum.
+/// The summary with the record that says where it begins; its checksum covers that record too, up
+/// to the checksum.
 fn with_footer(mut summary: Vec<u8>, start: u64, offsets_start: u64) -> io::Result<Vec<u8>> {
     let footer = Record::new(op::FOOTER).u64(start).u64(offsets_start);
     let footer = footer.u32(0).finish()?;

@@ -11,11 +11,13 @@ use std::io::{self, Write};
 /// CDR, little endian.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
-/// A chunk that is longer takes no more messages. Readers hold a chunk in memory and read all of it for one message.
+/// A chunk that is longer takes no more messages. Readers hold a chunk in memory and read all of it
+/// for one message.
 const CHUNK_BYTES: usize = 1 << 20;
 
-/// A file that grows by messages of ROS 2. It is complete when [finished](Self::finish); nobody seeks in it, and a chunk of some 1 MB
-/// is in memory. When it could not be written once, what follows is of no use.
+/// A file that grows by messages of ROS 2. It is complete when [finished](Self::finish); nobody
+/// seeks in it, and a chunk of some 1 MB is in memory. When it could not be written once, what
+/// follows is of no use.
 ///
 /// ```
 /// use monogrid_bags::McapWriter;

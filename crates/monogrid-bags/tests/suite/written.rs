@@ -1,5 +1,5 @@
-//! Files that are written: byte for byte those of `data/written.mcap`, which the crate `mcap` 0.26 wrote, and indexes that point at
-//! what they say.
+//! Files that are written: byte for byte those of `data/written.mcap`, which the crate `mcap` 0.26
+//! wrote, and indexes that point at what they say.
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use monogrid_bags::{Bag, McapWriter};
@@ -45,7 +45,8 @@ fn transform(time_ns: i64) -> TFMessage {
     }
 }
 
-/// Topics that share a type, times that go back and before the epoch, notes that close a chunk and one that finds none open.
+/// Topics that share a type, times that go back and before the epoch, notes that close a chunk and
+/// one that finds none open.
 fn write_small(out: &mut impl Write) -> io::Result<()> {
     let mut writer = McapWriter::new(out, "a test")?;
     let facts = [("unit of length", "m"), ("b", ""), ("a", "ä")];
@@ -245,7 +246,8 @@ fn check_chunk(file: &[u8], mut index: Fields) -> usize {
     found.len()
 }
 
-/// Everything that a reader that seeks follows from the end of the file; how many messages there are in how many chunks.
+/// Everything that a reader that seeks follows from the end of the file; how many messages there
+/// are in how many chunks.
 fn check_indexes(file: &[u8]) -> (usize, usize) {
     let end = file.len() as u64 - 8;
     let (opcode, mut footer) = record(file, end - 29);

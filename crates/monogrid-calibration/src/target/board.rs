@@ -16,7 +16,8 @@ pub struct BoardSize {
 }
 
 impl BoardSize {
-    /// The size with the longer side first; `None` for fewer than 3 by 3 corners, which cannot be told from clutter.
+    /// The size with the longer side first; `None` for fewer than 3 by 3 corners, which cannot be
+    /// told from clutter.
     #[must_use]
     pub fn new(a: usize, b: usize) -> Option<Self> {
         let (rows, columns) = (a.min(b), a.max(b));
@@ -35,7 +36,8 @@ impl std::fmt::Display for BoardSize {
 pub struct BoardView {
     /// How many corners (of a chessboard) or tags it has.
     pub size: BoardSize,
-    /// Those of a chessboard row by row, px; the centre of the top-left pixel of the image is (0, 0).
+    /// Those of a chessboard row by row, px; the centre of the top-left pixel of the image is (0,
+    /// 0).
     pub corners: Vec<Vec2>,
     /// Where each lies on the target, in squares or sides of a tag: x right, y down.
     pub places: Vec<Vec2>,
@@ -80,7 +82,8 @@ pub fn find_board(image: &GrayImage) -> Option<BoardView> {
     best
 }
 
-/// Places in an image of this size where black and white cross; `None` where the detector refuses it.
+/// Places in an image of this size where black and white cross; `None` where the detector refuses
+/// it.
 pub(super) fn crossings(bytes: &[u8], (width, height): (usize, usize)) -> Option<Vec<Crossing>> {
     let (width, height) = (u32::try_from(width).ok()?, u32::try_from(height).ok()?);
     let config = DetectorConfig::chess_multiscale().with_refiner(ImageRefiner::saddle_point());
@@ -142,7 +145,8 @@ impl Direction {
         Vec2::new(cos, sin) * if self.is_back { -1.0 } else { 1.0 }
     }
 
-    /// The pairs of ways of a crossing of which the second is to the right of the first (clockwise in the image).
+    /// The pairs of ways of a crossing of which the second is to the right of the first (clockwise
+    /// in the image).
     pub fn corners(from: &Crossing) -> impl Iterator<Item = (Self, Self)> {
         let pairs = Self::ALL
             .into_iter()
@@ -161,7 +165,8 @@ impl Direction {
     }
 }
 
-/// Largest angle between an edge and the way to the next crossing: perspective and distortion bend little over one square.
+/// Largest angle between an edge and the way to the next crossing: perspective and distortion bend
+/// little over one square.
 const MAX_ANGLE: f64 = 0.3;
 
 /// The next crossings in a direction, nearest first, at most so many.

@@ -1,4 +1,5 @@
-//! The tags of AprilTag's family 36h11 (Olson, *AprilTag: A Robust and Flexible Visual Fiducial System*, 2011), read from between four corners.
+//! The tags of AprilTag's family 36h11 (Olson, *AprilTag: A Robust and Flexible Visual Fiducial
+//! System*, 2011), read from between four corners.
 
 use super::fit::homography;
 use monogrid_geometry::Vec2;
@@ -19,7 +20,8 @@ const MIN_CONTRAST: f64 = 15.0;
 /// Places along each side of a bit that are looked at, as a share of its side.
 const PLACES: [f64; 3] = [0.3, 0.5, 0.7];
 
-/// The codes of the family, by number: 36 bits, row by row from the top left, the highest first; white is one.
+/// The codes of the family, by number: 36 bits, row by row from the top left, the highest first;
+/// white is one.
 pub(super) struct TagFamily {
     codes: Vec<u64>,
 }
@@ -151,7 +153,8 @@ mod tests {
         }
     }
 
-    /// A tag of black 40 and white 200 whose bits are ten px wide, from its top left corner at (20, 20).
+    /// A tag of black 40 and white 200 whose bits are ten px wide, from its top left corner at (20,
+    /// 20).
     fn picture(code: u64, border: usize) -> GrayImage {
         GrayImage::from_fn(140, 140, |x, y| {
             let bit = |v: usize| (v as isize - 20).div_euclid(10) - border as isize;

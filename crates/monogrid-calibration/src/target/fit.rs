@@ -1,7 +1,8 @@
 //! The camera that sees a board as it is: Levenberg-Marquardt over camera and poses.
 //!
-//! Zhang, *A Flexible New Technique for Camera Calibration*, 2000. Instead of his closed form, which knows no distortion,
-//! several fields of view are tried: with one of them the board's pose follows from its homography.
+//! Zhang, *A Flexible New Technique for Camera Calibration*, 2000. Instead of his closed form,
+//! which knows no distortion, several fields of view are tried: with one of them the board's pose
+//! follows from its homography.
 
 use super::board::BoardView;
 use monogrid_geometry::{Camera, Distortion, Pinhole, Rotation, Se3, Vec2, Vec3, Vec6};
@@ -62,8 +63,9 @@ const MAX_STEPS: usize = 60;
 /// Stop when a step lowers the cost by less than this share.
 const MIN_DECREASE: f64 = 1e-9;
 
-/// Standard deviations of what is believed before anything is seen, which keep what no view shows from running
-/// away: the principal point as a share of the longer side, and each term of the distortion.
+/// Standard deviations of what is believed before anything is seen, which keep what no view shows
+/// from running away: the principal point as a share of the longer side, and each term of the
+/// distortion.
 const PRIOR_CENTRE: f64 = 0.2;
 const PRIOR_DISTORTION: f64 = 1.0;
 
@@ -135,7 +137,8 @@ pub(super) fn homography(pairs: impl Iterator<Item = (Vec2, Vec2)>) -> Option<Ma
     Some(Matrix3::from_row_slice(h.as_slice()))
 }
 
-/// Where a board is that a camera sees: from the homography between it and the directions of its corners.
+/// Where a board is that a camera sees: from the homography between it and the directions of its
+/// corners.
 fn board_pose(view: &BoardView, camera: &Camera) -> Option<Se3> {
     let rays = view.corners.iter().map(|pixel| camera.unproject(pixel));
     let rays: Vec<Vec3> = rays.collect::<Option<_>>()?;
@@ -185,7 +188,8 @@ fn prior_information(size: (usize, usize)) -> CameraVector {
 const UNSEEN_PX_SQ: f64 = 1e6;
 
 impl Problem<'_> {
-    /// Half the sum of squared errors, px, with what was believed; `None` where the camera cannot be.
+    /// Half the sum of squared errors, px, with what was believed; `None` where the camera cannot
+    /// be.
     fn cost(&self, parameters: &CameraVector, poses: &[Se3]) -> Option<f64> {
         let camera = self.model.camera(parameters, self.size)?;
         let mut sum = 0.0;

@@ -1,8 +1,9 @@
-//! Calibration with a target: a chessboard, or a grid of AprilTags, that is shown to the camera from many sides.
+//! Calibration with a target: a chessboard, or a grid of AprilTags, that is shown to the camera
+//! from many sides.
 //!
-//! [`BoardCollector`] finds the board in the images of a video and keeps views that differ; [`calibrate`] finds the camera
-//! that sees all of them with the least error, as a pinhole with radial and tangential distortion, or as an equidistant
-//! lens.
+//! [`BoardCollector`] finds the board in the images of a video and keeps views that differ;
+//! [`calibrate`] finds the camera that sees all of them with the least error, as a pinhole with
+//! radial and tangential distortion, or as an equidistant lens.
 
 mod board;
 mod family;
@@ -22,21 +23,25 @@ use std::collections::BTreeMap;
 /// Settings of [`BoardCollector`] and [`calibrate`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TargetConfig {
-    /// Inner corners of the board; none takes the size that most images show. Of no meaning for tags.
+    /// Inner corners of the board; none takes the size that most images show. Of no meaning for
+    /// tags.
     pub board: Option<BoardSize>,
     /// The grid of tags, which may be seen in part; none looks for a chessboard.
     pub tags: Option<TagGrid>,
-    /// Lens model; none takes radial and tangential distortion, or the equidistant model where its error is clearly smaller.
+    /// Lens model; none takes radial and tangential distortion, or the equidistant model where its
+    /// error is clearly smaller.
     pub model: Option<LensModel>,
     /// Views that are used at most. Range 3..; default 40.
     pub max_views: usize,
-    /// Mean distance of the corners between two views that are both used, as a share of the image's longer side.
-    /// Range 0..1; default 0.01.
+    /// Mean distance of the corners between two views that are both used, as a share of the image's
+    /// longer side. Range 0..1; default 0.01.
     pub min_change: f64,
-    /// Mean distance of the corners to those of the image before, up to which the board holds still: blur and rolling
-    /// shutter bend it else, as a share of the image's longer side. Range above 0; default 0.005.
+    /// Mean distance of the corners to those of the image before, up to which the board holds
+    /// still: blur and rolling shutter bend it else, as a share of the image's longer side. Range
+    /// above 0; default 0.005.
     pub max_motion: f64,
-    /// Views whose error is this many times that of the median view are left out. Range 1..; default 3.
+    /// Views whose error is this many times that of the median view are left out. Range 1..;
+    /// default 3.
     pub max_error_ratio: f64,
 }
 
@@ -60,7 +65,8 @@ const MIN_VIEWS: usize = 4;
 /// Largest standard deviation of a focal length that is determined, relative.
 const MAX_FOCAL_SIGMA: f64 = 0.02;
 
-/// By which factor the error of the equidistant model must be smaller: for ordinary lenses both say the same.
+/// By which factor the error of the equidistant model must be smaller: for ordinary lenses both say
+/// the same.
 const EQUIDISTANT_CHARGE: f64 = 1.05;
 
 /// Why there is no calibration.
@@ -201,8 +207,8 @@ impl BoardCollector {
     }
 }
 
-/// Mean distance of the corners that two views share, px; infinite where they share none. A chessboard may have been turned by half a
-/// turn.
+/// Mean distance of the corners that two views share, px; infinite where they share none. A
+/// chessboard may have been turned by half a turn.
 fn mean_distance(a: &BoardView, b: &BoardView) -> f64 {
     if a.size != b.size {
         return f64::INFINITY;
@@ -334,7 +340,8 @@ impl Candidate {
         })
     }
 
-    /// Per view what is left between its corners and the camera; a corner that the camera cannot see is left out.
+    /// Per view what is left between its corners and the camera; a corner that the camera cannot
+    /// see is left out.
     fn errors(&self) -> Vec<Vec<CornerError>> {
         let of_view = |view: &BoardView, pose: &monogrid_geometry::Se3| {
             let corners = view.corners.iter().enumerate();

@@ -1,8 +1,9 @@
-//! A grid of AprilTags in an image (Kalibr's AprilGrid): tags of the family 36h11 with small black squares between their corners.
+//! A grid of AprilTags in an image (Kalibr's AprilGrid): tags of the family 36h11 with small black
+//! squares between their corners.
 //!
-//! The squares make every corner of a tag a place where black and white cross, as on a chessboard, which is found to a fraction
-//! of a pixel. Four such places that edges join are a tag when what is between them reads as one. Tags have numbers, so that any
-//! part of the grid will do.
+//! The squares make every corner of a tag a place where black and white cross, as on a chessboard,
+//! which is found to a fraction of a pixel. Four such places that edges join are a tag when what is
+//! between them reads as one. Tags have numbers, so that any part of the grid will do.
 
 use super::board::{BoardSize, BoardView, Crossing, Direction, crossings, next_crossings};
 use super::family::TagFamily;
@@ -29,10 +30,12 @@ const MIN_TAGS: usize = 4;
 /// Shortest side of a tag, px: fewer than two for a bit cannot be read.
 const MIN_SIDE_PX: f64 = 14.0;
 
-/// Crossings that are tried along an edge: those of the pattern of a tag lie before its next corner.
+/// Crossings that are tried along an edge: those of the pattern of a tag lie before its next
+/// corner.
 const MAX_TRIED: usize = 4;
 
-/// A tag in an image: its number, and its corners as its pattern has them (clockwise, but nobody knows from which).
+/// A tag in an image: its number, and its corners as its pattern has them (clockwise, but nobody
+/// knows from which).
 struct Tag {
     number: usize,
     corners: [Vec2; 4],
@@ -96,7 +99,8 @@ fn is_large(corners: &[Vec2; 4]) -> bool {
     (0..4).all(|k| (corners[(k + 1) % 4] - corners[k]).norm() >= MIN_SIDE_PX)
 }
 
-/// The tags among the quads by number; of several with one number, none can be trusted but the best read.
+/// The tags among the quads by number; of several with one number, none can be trusted but the best
+/// read.
 fn tags_of(
     image: &GrayImage,
     (crossings, quads): (&[Crossing], &[[usize; 4]]),

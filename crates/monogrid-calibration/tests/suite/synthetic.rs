@@ -91,8 +91,8 @@ fn a_hand_held_camera_shows_its_focal_length_and_distortion() {
     }
 }
 
-/// The same window as a rolling shutter sees it that takes a share of the time from frame to frame; frames are
-/// a quarter of the way from view to view apart. The hand shakes by this angle, rad.
+/// The same window as a rolling shutter sees it that takes a share of the time from frame to frame;
+/// frames are a quarter of the way from view to view apart. The hand shakes by this angle, rad.
 fn rolling(
     lens: &Intrinsics,
     (readout, direction): (f64, ReadoutDirection),
@@ -279,7 +279,8 @@ fn the_camera_that_is_returned() {
     assert_eq!(lens(1e9, 0.0).camera(SIZE), None);
 }
 
-/// The window's points and poses as a map has them that was made with another focal length: bent by it.
+/// The window's points and poses as a map has them that was made with another focal length: bent by
+/// it.
 fn mapped(lens: &Intrinsics, guess: &Intrinsics, seed: u64) -> Scene {
     let mut rng = Rng::new(seed);
     let poses: Vec<Se3> = (0..20u8)

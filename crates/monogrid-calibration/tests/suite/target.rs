@@ -107,7 +107,8 @@ impl Studio {
     }
 }
 
-/// A board with this middle tilted each way, near and far, in the middle of the image and in its corners.
+/// A board with this middle tilted each way, near and far, in the middle of the image and in its
+/// corners.
 fn poses_around(middle: Vec3, distance: f64) -> Vec<Se3> {
     let tilts = [
         [0.0, 0.0, 0.0],
@@ -213,7 +214,8 @@ fn a_wide_lens_is_found() {
     assert_eq!(free.model == LensModel::Equidistant, is_clear);
 }
 
-/// A grid of tags as Kalibr prints it: numbered from below, borders of two bits, squares between the corners.
+/// A grid of tags as Kalibr prints it: numbered from below, borders of two bits, squares between
+/// the corners.
 fn tag_is_black(grid: &TagGrid, at: &Vec2) -> Option<bool> {
     let BoardSize { columns, rows } = grid.size;
     let pitch = 1.0 + grid.spacing;
@@ -360,7 +362,8 @@ fn what_cannot_be_found_is_said() {
     let views = collector.finish().unwrap();
     let few = calibrate(&views, SIZE, &TargetConfig::default());
     assert_eq!(few, Err(TargetError::FewViews { found: 1 }));
-    // held straight in front of the camera at any distance, a board says nothing of the focal length
+    // held straight in front of the camera at any distance, a board says nothing of the focal
+    // length
     let straight: Vec<Se3> = (0..6)
         .map(|k| {
             Se3::new(

@@ -45,7 +45,8 @@ pub struct Ended {
     pub peak_rss_bytes: Option<u64>,
 }
 
-/// Ends this process when the one ends that `MONOGRID_PARENT` names, where the system can do that (Linux).
+/// Ends this process when the one ends that `MONOGRID_PARENT` names, where the system can do that
+/// (Linux).
 pub fn end_with_parent() {
     #[cfg(target_os = "linux")]
     {
@@ -193,7 +194,8 @@ fn cpu_time(_: u32) -> Option<Duration> {
     None
 }
 
-/// User and system time, own and of children: the fields 14 to 17, counted from 1; the second one is a name that may hold anything.
+/// User and system time, own and of children: the fields 14 to 17, counted from 1; the second one
+/// is a name that may hold anything.
 #[cfg(target_os = "linux")]
 fn cpu_in(stat: &str, ticks_per_second: u64) -> Option<Duration> {
     let (_, after_name) = stat.rsplit_once(')')?;

@@ -55,12 +55,14 @@ pub enum End {
 const PANIC: &str = "panicked at ";
 /// Signals by which others end a program: hang up, interrupt, kill, terminate.
 const FROM_OUTSIDE: [i32; 4] = [1, 2, 9, 15];
-/// How the system says that something cannot be read now: an error of the device, too little memory, too many open files, a
-/// network or its file system that does not answer (EIO, EAGAIN, ENOMEM, ENFILE, EMFILE, ENETDOWN to EHOSTUNREACH, ESTALE, EREMOTEIO).
+/// How the system says that something cannot be read now: an error of the device, too little
+/// memory, too many open files, a network or its file system that does not answer (EIO, EAGAIN,
+/// ENOMEM, ENFILE, EMFILE, ENETDOWN to EHOSTUNREACH, ESTALE, EREMOTEIO).
 const CAN_PASS: [i32; 16] = [
     5, 11, 12, 23, 24, 100, 101, 102, 103, 104, 110, 111, 112, 113, 116, 121,
 ];
-/// How the system says that a disk, or what a user may have of it, is full: ENOSPC, EDQUOT, and EFBIG of `ulimit -f`.
+/// How the system says that a disk, or what a user may have of it, is full: ENOSPC, EDQUOT, and
+/// EFBIG of `ulimit -f`.
 const DISK_FULL: [&str; 3] = ["(os error 28)", "(os error 122)", "(os error 27)"];
 
 impl Class {

@@ -1,4 +1,5 @@
-//! What files hold: SHA-256 of their content, as `sha256sum` says it, and a quicker stamp of names, sizes and times.
+//! What files hold: SHA-256 of their content, as `sha256sum` says it, and a quicker stamp of names,
+//! sizes and times.
 
 use super::outputs::Written;
 use super::task::Task;
@@ -21,9 +22,11 @@ pub struct InputRecord {
     pub files: usize,
     /// Bytes of all of them.
     pub bytes: u64,
-    /// SHA-256 of the lines `HASH  NAME`, as `sha256sum` prints them, of all files; of the source first.
+    /// SHA-256 of the lines `HASH  NAME`, as `sha256sum` prints them, of all files; of the source
+    /// first.
     pub sha256: String,
-    /// Hash of names, sizes and times of change: as long as it stays, the content is not read again.
+    /// Hash of names, sizes and times of change: as long as it stays, the content is not read
+    /// again.
     pub stamp: String,
 }
 
@@ -69,7 +72,8 @@ fn hexadecimal(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The files that a task of a batch that writes these reads: those of its source by their names in it, then those of its options.
+/// The files that a task of a batch that writes these reads: those of its source by their names in
+/// it, then those of its options.
 fn files_of(task: &Task, written: &Written) -> io::Result<Vec<(String, PathBuf)>> {
     let source = &task.source;
     let mut files = Vec::new();
@@ -105,7 +109,8 @@ fn images_of_list(source: &Path) -> Vec<(String, PathBuf)> {
     named.collect()
 }
 
-/// All files below a folder, in the order of their names; links to files are followed, those to folders are not.
+/// All files below a folder, in the order of their names; links to files are followed, those to
+/// folders are not.
 fn collect(
     root: &Path,
     below: &Path,

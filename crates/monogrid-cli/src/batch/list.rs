@@ -1,7 +1,8 @@
 //! Which recordings a batch is of: lists, folders of recordings, recordings.
 //!
-//! A list has one recording per line: its source, then, separated by tabs, what is said of it alone: `name=NAME` and options
-//! of `monogrid run` as `KEY=VALUE` or `KEY`. Empty lines and lines that begin with `#` are left out.
+//! A list has one recording per line: its source, then, separated by tabs, what is said of it
+//! alone: `name=NAME` and options of `monogrid run` as `KEY=VALUE` or `KEY`. Empty lines and lines
+//! that begin with `#` are left out.
 
 use super::keys::{Key, parse_key};
 use monogrid_app::input::video_source::is_video;

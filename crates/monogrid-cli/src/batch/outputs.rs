@@ -53,8 +53,8 @@ pub fn without_outputs(listed: &[Listed], of_all: &[Key]) -> Vec<Listed> {
         .collect()
 }
 
-/// Refuses outputs that collide with each other, with the folder of the batch or with something that is read, by whatever
-/// spelling or link. `inputs` are files that the call itself reads.
+/// Refuses outputs that collide with each other, with the folder of the batch or with something
+/// that is read, by whatever spelling or link. `inputs` are files that the call itself reads.
 ///
 /// # Errors
 /// Names both, and where the second was named.
@@ -97,7 +97,8 @@ pub fn refuse_collisions<'a>(
         if let Some(what) = read.meets(&place) {
             return Err(refused(task, file, &what));
         }
-        // beside images it does no harm; in the folder of a recording in parts it would be one of them
+        // beside images it does no harm; in the folder of a recording in parts it would be one of
+        // them
         let around = place.ancestors().find_map(|folder| folders.get(folder));
         if let Some((_, what)) = around.filter(|(source, _)| is_recording(source)) {
             return Err(refused(task, file, &format!("in {what}")));

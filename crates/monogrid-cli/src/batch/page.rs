@@ -1,4 +1,5 @@
-//! `report.html` of a batch: what worked, what did not and why, how the numbers are spread, the worst recordings first.
+//! `report.html` of a batch: what worked, what did not and why, how the numbers are spread, the
+//! worst recordings first.
 
 use super::class::Class;
 use super::metrics::Metrics;

@@ -13,7 +13,8 @@ pub const TASK_FILE: &str = "task.json";
 /// Version of its form.
 const FORMAT: u32 = 1;
 
-/// Files of a run whose content holds times of that very run: they are hashed, but no part of the hash of the result.
+/// Files of a run whose content holds times of that very run: they are hashed, but no part of the
+/// hash of the result.
 const WITH_TIMES: [&str; 4] = [
     "summary.json",
     "report.html",
@@ -46,7 +47,8 @@ pub struct TaskRecord {
     pub settings_sha256: String,
     /// What was read, by content; absent where it could not be.
     pub input: Option<InputRecord>,
-    /// SHA-256 of the lines `HASH  NAME` of all outputs that hold no times: equal wherever the same was computed.
+    /// SHA-256 of the lines `HASH  NAME` of all outputs that hold no times: equal wherever the same
+    /// was computed.
     pub result_sha256: Option<String>,
     /// When the run began, seconds since 1970.
     pub began_unix_s: u64,

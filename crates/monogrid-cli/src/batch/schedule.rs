@@ -1,9 +1,9 @@
 //! Several tasks at once: as many as there are jobs, and as their memory allows.
 //!
-//! A task is expected to need as much memory as it did when it was tried before, else a tenth more than the largest of those that
-//! have ended, else 1 GB. It begins when all that run, by what they are expected to need or have taken by now, leave that
-//! much; a task that never fits runs when nothing else does. One that was killed is tried once more when all others are done,
-//! alone.
+//! A task is expected to need as much memory as it did when it was tried before, else a tenth more
+//! than the largest of those that have ended, else 1 GB. It begins when all that run, by what they
+//! are expected to need or have taken by now, leave that much; a task that never fits runs when
+//! nothing else does. One that was killed is tried once more when all others are done, alone.
 
 use super::class::Class;
 use monogrid_app::process::usage::bytes_in;
@@ -86,8 +86,9 @@ impl Queue {
     }
 }
 
-/// Carries out tasks, given by their indices with the memory that they took before; `work` gets the index, which try it is, and
-/// somebody to tell of the memory that it takes by now. Those that were not begun because something stopped all.
+/// Carries out tasks, given by their indices with the memory that they took before; `work` gets the
+/// index, which try it is, and somebody to tell of the memory that it takes by now. Those that were
+/// not begun because something stopped all.
 pub fn run(
     tasks: &[(usize, Option<u64>)],
     limits: Limits,
@@ -151,7 +152,8 @@ fn lock(queue: &Mutex<Queue>) -> MutexGuard<'_, Queue> {
     queue.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Memory that programs may take now, bytes: what is free, within what the group of this process may have.
+/// Memory that programs may take now, bytes: what is free, within what the group of this process
+/// may have.
 pub fn available_memory() -> Option<u64> {
     let free = bytes_in("/proc/meminfo", "MemAvailable:")?;
     let group = std::fs::read_to_string("/sys/fs/cgroup/memory.max").ok();

@@ -1,4 +1,5 @@
-//! A recording as a task: a name of its own, the arguments of its run, and the hash of its settings.
+//! A recording as a task: a name of its own, the arguments of its run, and the hash of its
+//! settings.
 
 use super::digest::sha256_of;
 use super::keys::{Key, joined};
@@ -31,10 +32,12 @@ pub struct Task {
     pub settings_sha256: String,
 }
 
-/// The tasks of all recordings that were named, in their order; one that is named twice alike is one.
+/// The tasks of all recordings that were named, in their order; one that is named twice alike is
+/// one.
 ///
 /// # Errors
-/// Where a recording cannot be one of a batch, its options are not understood, or two have one name.
+/// Where a recording cannot be one of a batch, its options are not understood, or two have one
+/// name.
 pub fn tasks(listed: &[Listed], of_all: &[Key]) -> Result<Vec<Task>, Failure> {
     let listed = without_outputs(listed, of_all);
     let names = names(&listed)?;
@@ -45,8 +48,9 @@ pub fn tasks(listed: &[Listed], of_all: &[Key]) -> Result<Vec<Task>, Failure> {
         .collect()
 }
 
-/// A name for each, the same for those that are the same: what was said, else the name of the source. Where several sources have
-/// one name, whatever its case, all of them get a part of the hash of their line, so that names do not depend on the order.
+/// A name for each, the same for those that are the same: what was said, else the name of the
+/// source. Where several sources have one name, whatever its case, all of them get a part of the
+/// hash of their line, so that names do not depend on the order.
 fn names(listed: &[Listed]) -> Result<Vec<String>, Failure> {
     let line = |listed: &Listed| {
         let keys: Vec<String> = listed.keys.iter().map(Key::argument).collect();

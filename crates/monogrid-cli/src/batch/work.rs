@@ -23,7 +23,8 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 const LOG_FILE: &str = "log.txt";
 /// Time between looks at a folder that another process holds.
 const LOOK_EVERY: Duration = Duration::from_millis(200);
-/// How often a folder that another process holds is looked at before it is believed to be at work there.
+/// How often a folder that another process holds is looked at before it is believed to be at work
+/// there.
 const GLANCES: u32 = 10;
 /// Bytes at the end of the log in which the last thing that was said is looked for.
 const LAST_WORDS: u64 = 16_384;
@@ -78,7 +79,8 @@ impl Job<'_> {
         let record = self.finished(task)?;
         let is_same = match (&record.input, stamp(task, self.written)) {
             (Some(input), Ok(stamp)) => input.stamp == stamp,
-            // what could not be read cannot be read now; what came of a recording stays when it is gone
+            // what could not be read cannot be read now; what came of a recording stays when it is
+            // gone
             (_, Err(_)) => true,
             (None, Ok(_)) => false,
         };
@@ -181,7 +183,8 @@ impl Job<'_> {
         Ok(Outcome::Carried(Box::new(record)))
     }
 
-    /// Why a task is not begun although it is not done: nothing that came of it before would be left.
+    /// Why a task is not begun although it is not done: nothing that came of it before would be
+    /// left.
     fn refusal(&self, task: &Task, unreadable: Option<&io::Error>) -> Option<String> {
         let run = self.run_folder(task);
         if let Some(error) = unreadable {
@@ -209,7 +212,8 @@ impl Job<'_> {
         })
     }
 
-    /// Removes the file that an earlier run wrote beside its folder, of which that folder may know nothing any more.
+    /// Removes the file that an earlier run wrote beside its folder, of which that folder may know
+    /// nothing any more.
     fn remove_earlier_file(
         &self,
         task: &Task,

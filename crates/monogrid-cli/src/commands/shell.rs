@@ -1,4 +1,5 @@
-//! `monogrid completions` and `monogrid man`: what shells and readers of manuals know about the command line.
+//! `monogrid completions` and `monogrid man`: what shells and readers of manuals know about the
+//! command line.
 
 use crate::cli;
 use clap::Args;

@@ -1,4 +1,5 @@
-//! Many recordings, each by a run of its own: what is done stays done, and whatever ends halfway is ended by the next call.
+//! Many recordings, each by a run of its own: what is done stays done, and whatever ends halfway is
+//! ended by the next call.
 
 use crate::common::{assert_fails, code, files, json, monogrid, program, small_sequence, stderr};
 use monogrid_datasets::encode_png;

@@ -342,7 +342,8 @@ fn a_written_dataset_agrees_with_its_own_truth() {
     assert_eq!(of_depth["cameras"], 20);
     let compared = ok(&["evaluate", "map", &seen, &truth]);
     let observed = &compared["policies"]["observed"];
-    // cells that a surface only grazes are occupied in the exact truth and free to most small images
+    // cells that a surface only grazes are occupied in the exact truth and free to most small
+    // images
     assert!(observed["recall"].as_f64().unwrap() > 0.6, "{observed}");
     assert!(observed["precision"].as_f64().unwrap() > 0.8, "{observed}");
     assert!(
@@ -572,7 +573,8 @@ fn maps_and_points_are_seen_as_a_page_a_picture_and_over_loopback() {
     served(&run, own);
 }
 
-/// The page over a socket is that of the file, or that of a folder, and it ends when it is told to, whatever clients do.
+/// The page over a socket is that of the file, or that of a folder, and it ends when it is told to,
+/// whatever clients do.
 fn served(what: &str, page: &str) {
     use std::io::{BufRead, BufReader};
     let mut child = crate::common::program()

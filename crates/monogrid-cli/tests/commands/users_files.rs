@@ -1,5 +1,5 @@
-//! The program deletes and overwrites nothing that it did not write: every way that we know is tried on every
-//! command that writes.
+//! The program deletes and overwrites nothing that it did not write: every way that we know is
+//! tried on every command that writes.
 
 use crate::common::{assert_fails, code, monogrid, program, stderr};
 use monogrid_datasets::{
@@ -86,7 +86,8 @@ fn write_recording(path: &Path, idepth: f32) {
     writer.finish(end).unwrap();
 }
 
-/// A chessboard of 4 by 3 inner corners as a camera sees it that turned by these angles around x and y.
+/// A chessboard of 4 by 3 inner corners as a camera sees it that turned by these angles around x
+/// and y.
 fn chessboard(turn_x: f64, turn_y: f64) -> Image<u8> {
     let (sin_x, cos_x, sin_y, cos_y) = (turn_x.sin(), turn_x.cos(), turn_y.sin(), turn_y.cos());
     Image::from_fn(320, 240, |column, row| {

@@ -43,7 +43,8 @@ pub fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// Asserts exit code and that the message holds every one of `parts`, and nothing that looks like a panic.
+/// Asserts exit code and that the message holds every one of `parts`, and nothing that looks like a
+/// panic.
 pub fn assert_fails(output: &Output, expected: i32, parts: &[&str]) {
     let text = stderr(output);
     assert_eq!(code(output), expected, "{text}");
@@ -173,8 +174,8 @@ pub fn write_scans(path: &Path) {
     std::fs::write(path, out).unwrap();
 }
 
-/// Clients of the page at this address that nobody wants, held open: one promises a body, one a body of 70 TB, one does not read what it
-/// asks for, one begins a request and leaves it at that.
+/// Clients of the page at this address that nobody wants, held open: one promises a body, one a
+/// body of 70 TB, one does not read what it asks for, one begins a request and leaves it at that.
 pub fn hostile_clients(url: &str) -> Vec<TcpStream> {
     let (host, path) = parts_of_url(url);
     let rest = format!("{path} HTTP/1.1\r\nHost: {host}\r\n");

@@ -1,4 +1,5 @@
-//! A panic in any part of a run ends it with exit code 1 and a sentence, and what was mapped until then is saved.
+//! A panic in any part of a run ends it with exit code 1 and a sentence, and what was mapped until
+//! then is saved.
 
 use crate::common::{WITHOUT_DENSE_DEPTH, code, program, small_sequence, stderr};
 use std::path::Path;

@@ -1,4 +1,5 @@
-//! The pipeline as a library: what a viewer, a live camera or a robot writes, and that it finds what the program finds.
+//! The pipeline as a library: what a viewer, a live camera or a robot writes, and that it finds
+//! what the program finds.
 
 use crate::common::{SMALL_FRAMES, code, json, monogrid, room, small_sequence, stderr};
 use monogrid_datasets::{Calibration, read_gray};

@@ -281,7 +281,8 @@ fn what_nobody_told_of_the_camera_is_found() {
     let pinhole = "251 251 159.5 119.5 320 240";
     fs::write(file("pinhole.txt"), pinhole).unwrap();
     fs::write(file("lens.txt"), "251 251 159.5 119.5 0.03 0 0 0 320 240").unwrap();
-    // the lens of the world, its rolling shutter, and what is found although the calibration says a pinhole
+    // the lens of the world, its rolling shutter, and what is found although the calibration says a
+    // pinhole
     for (lens, readout_ms, found) in [
         ("pinhole.txt", 25.0, "rolling shutter"),
         ("lens.txt", 0.0, "radial distortion"),
@@ -870,7 +871,8 @@ fn clients_that_are_held_open_hold_up_no_run_and_the_address_is_in_no_file() {
     let clients = crate::common::hostile_clients(&url);
     assert!(crate::common::get(&url).starts_with(b"HTTP/1.1 200"));
     assert_eq!(child.wait().unwrap().code(), Some(0));
-    // other tests take their share of the computer; a client that is waited for is waited for without an end
+    // other tests take their share of the computer; a client that is waited for is waited for
+    // without an end
     assert!(begin.elapsed() < 3 * time + Duration::from_secs(10));
     drop(clients);
     let (plain, seen) = (files(&plain), files(&seen));

@@ -41,7 +41,8 @@ fn first_run() -> &'static Path {
     folder
 }
 
-/// Later frames of the same, mapped by themselves: of unknown scale, and by a camera that sees less.
+/// Later frames of the same, mapped by themselves: of unknown scale, and by a camera that sees
+/// less.
 fn later_run() -> &'static Path {
     static FOLDER: OnceLock<(tempfile::TempDir, PathBuf)> = OnceLock::new();
     let (_, folder) = FOLDER.get_or_init(|| {
@@ -319,7 +320,8 @@ fn a_camera_elsewhere_is_said_to_be() {
     }
 }
 
-/// A folder with the first images of the small sequence, and then what it looks like in a mirror: another place.
+/// A folder with the first images of the small sequence, and then what it looks like in a mirror:
+/// another place.
 fn cut_sequence(to: &Path, first: usize, mirrored: usize) {
     let dataset = Dataset::open(small_sequence(), SourceOptions::default()).unwrap();
     fs::create_dir_all(to).unwrap();

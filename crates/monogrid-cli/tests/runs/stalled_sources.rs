@@ -1,4 +1,5 @@
-//! Sources that stall, vanish, or end as they should not: a run can be interrupted at any moment, and says what happened.
+//! Sources that stall, vanish, or end as they should not: a run can be interrupted at any moment,
+//! and says what happened.
 #![cfg(unix)]
 
 use crate::common::{WITHOUT_DENSE_DEPTH, code, monogrid, program, room, stderr};
@@ -67,7 +68,8 @@ impl Run {
         command
     }
 
-    /// A program `ffmpeg` that is first in the path: it notes its number and does what the script says.
+    /// A program `ffmpeg` that is first in the path: it notes its number and does what the script
+    /// says.
     fn with_ffmpeg(&self, command: &mut Command, script: &str) {
         let bin = self.path("bin");
         fs::create_dir(&bin).unwrap();
@@ -154,7 +156,8 @@ fn interrupt(mut child: Child) -> Output {
     output
 }
 
-/// Waits until everything that a stalled source has shown is tracked. A run does not say when: it has a folder by then.
+/// Waits until everything that a stalled source has shown is tracked. A run does not say when: it
+/// has a folder by then.
 fn wait_for_frames(run: &Run) {
     wait_until("the run to begin", || run.path("out/config.toml").exists());
     std::thread::sleep(Duration::from_secs(3));

@@ -159,8 +159,8 @@ fn the_keyframes_of_a_video_are_in_colour() {
     }
 }
 
-/// How far the green of a keyframe lies beside its grey image to the right, in the upper and in the lower third, px: by least squares
-/// over the slopes of the grey image.
+/// How far the green of a keyframe lies beside its grey image to the right, in the upper and in the
+/// lower third, px: by least squares over the slopes of the grey image.
 fn colour_beside_grey(keyframe: &RecordedKeyframe) -> [f64; 2] {
     let jpeg = keyframe.colour.as_ref().expect("colour");
     let colour = decode_jpeg_rgb(jpeg, 1 << 20, Path::new("keyframe")).unwrap();

@@ -6,7 +6,8 @@ use crate::Outcomes;
 use std::path::Path;
 use std::process::Command;
 
-/// What is wrong after a write that could not succeed: it must be said, and leave no half file under a final name.
+/// What is wrong after a write that could not succeed: it must be said, and leave no half file
+/// under a final name.
 fn harms(ended: &Ended, codes: &[i32], map: &Path) -> Vec<String> {
     let mut harms: Vec<String> = ended.harm().into_iter().collect();
     if !ended.code.is_some_and(|code| codes.contains(&code)) {

@@ -19,7 +19,8 @@ pub struct Ended {
 }
 
 impl Ended {
-    /// What was wrong with the way it ended; `None` where it ended as it should, with or without an error.
+    /// What was wrong with the way it ended; `None` where it ended as it should, with or without an
+    /// error.
     pub fn harm(&self) -> Option<String> {
         let first = self.said.lines().next().unwrap_or_default();
         if self.took.as_secs() >= MAX_SECONDS {

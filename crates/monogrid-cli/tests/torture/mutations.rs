@@ -366,8 +366,8 @@ const NUMBERS: [u64; 8] = [
     0x7ff8_0000_0000_0000,
 ];
 
-/// A damaged copy: changed bits, bytes and numbers, cuts, repeated and removed stretches, words that are numbers and
-/// should not be.
+/// A damaged copy: changed bits, bytes and numbers, cuts, repeated and removed stretches, words
+/// that are numbers and should not be.
 pub fn mutated(seed: &[u8], rng: &mut SmallRng) -> Vec<u8> {
     let mut bytes = seed.to_vec();
     for _ in 0..=rng.random_range(0..4) {

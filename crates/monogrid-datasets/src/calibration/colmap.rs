@@ -1,5 +1,5 @@
-//! COLMAP's `cameras.txt`: `CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS...` in pixels, the corner of the
-//! top-left pixel at (0, 0); and `cameras.bin`, which says the same in little-endian numbers.
+//! COLMAP's `cameras.txt`: `CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS...` in pixels, the corner of
+//! the top-left pixel at (0, 0); and `cameras.bin`, which says the same in little-endian numbers.
 
 use super::{lens, pixel_count};
 use crate::bytes::Input;

@@ -114,7 +114,8 @@ fn size_line(lines: &[(usize, &str)], path: &Path) -> Result<(usize, usize), Dat
     size.ok_or_else(|| DatasetError::line(path, number, line, "width and height in pixels"))
 }
 
-/// Says how the numbers of LSD-SLAM's and DSO's files are meant, and what happens to their remaining lines.
+/// Says how the numbers of LSD-SLAM's and DSO's files are meant, and what happens to their
+/// remaining lines.
 fn note_units(draft: &mut Calibration, relative: bool, lines: &[(usize, &str)]) {
     draft.note(match relative {
         true => "values are relative to the image size; half a pixel was subtracted from the principal point",

@@ -13,8 +13,8 @@
 //! * KITTI's `calib.txt` (first projection matrix; needs the size of the images) and the
 //!   `calib_cam_to_cam.txt` of its raw recordings.
 //!
-//! The centre of the top-left pixel is (0, 0) in the result. Formats with *relative* values count from
-//! the corner of that pixel, so half a pixel is subtracted for them and only for them.
+//! The centre of the top-left pixel is (0, 0) in the result. Formats with *relative* values count
+//! from the corner of that pixel, so half a pixel is subtracted for them and only for them.
 
 mod basalt;
 mod cameras;
@@ -145,7 +145,8 @@ impl Calibration {
         text
     }
 
-    /// The camera in our own format, with the time from its first row to its last where it is known.
+    /// The camera in our own format, with the time from its first row to its last where it is
+    /// known.
     #[must_use]
     pub fn to_toml(camera: &Camera, readout_ms: Option<f64>) -> String {
         toml_format::format(camera, readout_ms)
@@ -198,7 +199,8 @@ fn lens(model: &str, coefficients: &[f64], path: &Path) -> Result<Distortion, Da
     lens.map_err(|e| DatasetError::calibration(path, e.to_string()))
 }
 
-/// Times from the first row to the last that a sensor can take, ms; negative where the image is upside down.
+/// Times from the first row to the last that a sensor can take, ms; negative where the image is
+/// upside down.
 const READOUT_MS: std::ops::RangeInclusive<f64> = -100.0..=100.0;
 
 impl Calibration {
@@ -249,11 +251,11 @@ impl Calibration {
     }
 }
 
-/// Four values of a pinhole, relative to the image size or in pixels, as DSO and LSD-SLAM decide it:
-/// a principal point below 1 is relative.
+/// Four values of a pinhole, relative to the image size or in pixels, as DSO and LSD-SLAM decide
+/// it: a principal point below 1 is relative.
 ///
-/// Relative: `fx = width * fx'`, `cx = width * cx' - 0.5`, because the relative principal point counts
-/// from the corner of the top-left pixel. Pixels are taken as they are.
+/// Relative: `fx = width * fx'`, `cx = width * cx' - 0.5`, because the relative principal point
+/// counts from the corner of the top-left pixel. Pixels are taken as they are.
 fn relative_or_pixels(values: [f64; 4], (width, height): (usize, usize)) -> (Pinhole, bool) {
     let [fx, fy, cx, cy] = values;
     let relative = cx < 1.0 && cy < 1.0;
@@ -270,8 +272,8 @@ fn pixel_count(value: f64) -> Option<usize> {
     (value.fract() == 0.0 && (1.0..=1e6).contains(&value)).then_some(value as usize)
 }
 
-/// Radial-tangential with the first of k1, k2, p1, p2, k3, the others 0; without coefficients it is a pinhole: nothing needs
-/// resampling then.
+/// Radial-tangential with the first of k1, k2, p1, p2, k3, the others 0; without coefficients it is
+/// a pinhole: nothing needs resampling then.
 fn radial_tangential(coefficients: &[f64]) -> Distortion {
     let [k1, k2, p1, p2, k3] = std::array::from_fn(|i| coefficients.get(i).copied().unwrap_or(0.0));
     match coefficients.iter().all(|k| *k == 0.0) {

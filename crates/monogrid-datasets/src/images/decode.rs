@@ -13,8 +13,9 @@ pub(super) const MAX_SIDE: usize = 16384;
 /// Most pixels that are decoded: twice those of an 8K video.
 pub(super) const MAX_PIXELS: usize = 1 << 26;
 
-/// Pixels that any image file may hold, and how many more for each of its bytes. Photographs have five or fewer per
-/// byte; only plain ones are smaller, and a small file of such must not fill the memory.
+/// Pixels that any image file may hold, and how many more for each of its bytes. Photographs have
+/// five or fewer per byte; only plain ones are smaller, and a small file of such must not fill the
+/// memory.
 const SMALL_FILE_PIXELS: usize = 3 << 22;
 const PIXELS_PER_BYTE: usize = 8;
 
@@ -96,7 +97,8 @@ pub(super) fn image_of<T: Copy>(
     image.ok_or_else(|| DatasetError::image(path, "the image has no pixels"))
 }
 
-/// Reads an image in colour; `None` where it has none: a grey file, or one whose pixels are all grey.
+/// Reads an image in colour; `None` where it has none: a grey file, or one whose pixels are all
+/// grey.
 ///
 /// # Errors
 /// As [`read_gray`].
@@ -150,7 +152,8 @@ pub fn read_mask(path: &Path) -> Result<Mask, DatasetError> {
     Ok(read_gray(path)?.map(|v| if v < 128.0 { 0 } else { 255 }))
 }
 
-/// Largest image file: no complete image has more bytes than its pixels would need without compression.
+/// Largest image file: no complete image has more bytes than its pixels would need without
+/// compression.
 const MAX_FILE_BYTES: u64 = 8 * MAX_PIXELS as u64;
 
 pub(super) fn read_image_file(path: &Path) -> Result<Vec<u8>, DatasetError> {

@@ -8,10 +8,11 @@ use std::path::Path;
 /// Diagonal of a 35 mm film's image, mm: what the equivalent focal length refers to.
 const FILM_DIAGONAL_MM: f64 = 43.267;
 
-/// Focal length of an image of this size in pixels as the camera wrote it into the file (Exif's equivalent for 35 mm
-/// film); `None` where it did not.
+/// Focal length of an image of this size in pixels as the camera wrote it into the file (Exif's
+/// equivalent for 35 mm film); `None` where it did not.
 ///
-/// Such a length is of the whole sensor: a video that is cropped or stabilised sees some percent less.
+/// Such a length is of the whole sensor: a video that is cropped or stabilised sees some percent
+/// less.
 #[must_use]
 pub fn exif_focal_px(path: &Path, (width, height): (usize, usize)) -> Option<f64> {
     let bytes = read_image_file(path).ok()?;

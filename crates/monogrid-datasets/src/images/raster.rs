@@ -27,7 +27,8 @@ impl Raster {
         self.channels >= 3
     }
 
-    /// What a function makes of the samples of each pixel; opacity is given, and meant to be ignored.
+    /// What a function makes of the samples of each pixel; opacity is given, and meant to be
+    /// ignored.
     pub(super) fn map<T>(&self, of_pixel: impl Fn(&[f32]) -> T) -> Vec<T> {
         match &self.samples {
             Samples::Bytes(samples) => map_pixels(samples, self.channels, of_pixel),
@@ -50,7 +51,8 @@ where
     samples.chunks_exact(channels).map(pixel).collect()
 }
 
-/// Decodes a PNG of at most these sides, which takes at most so much memory. Palettes become colours, fewer than eight bits become eight.
+/// Decodes a PNG of at most these sides, which takes at most so much memory. Palettes become
+/// colours, fewer than eight bits become eight.
 pub(super) fn decode_png(
     bytes: &[u8],
     max_sides: [usize; 2],
@@ -87,7 +89,8 @@ pub(super) fn decode_png(
     })
 }
 
-/// Decodes a PBM, PGM or PPM, as text or binary (netpbm's description of these formats). Binary samples above white are white.
+/// Decodes a PBM, PGM or PPM, as text or binary (netpbm's description of these formats). Binary
+/// samples above white are white.
 pub(super) fn decode_pnm(bytes: &[u8]) -> Result<Raster, String> {
     let mut words = Words { rest: bytes };
     let kind = *bytes.get(1).ok_or("the header is cut off")?;
@@ -192,7 +195,8 @@ impl<'a> Words<'a> {
         std::str::from_utf8(digits).ok()?.parse().ok()
     }
 
-    /// Samples as numbers. Behind the last there must be something: otherwise a digit of it may be missing.
+    /// Samples as numbers. Behind the last there must be something: otherwise a digit of it may be
+    /// missing.
     fn samples(&mut self, count: usize, white: u16) -> Option<Samples> {
         let mut next = || {
             let value = u16::try_from(self.number()?).ok()?;

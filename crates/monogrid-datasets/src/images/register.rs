@@ -17,9 +17,9 @@ struct Vertex {
 
 /// Warps depth images into the (undistorted) colour camera; prepared once per sequence.
 ///
-/// The depth image is a mesh: neighbouring pixels on one surface span triangles, in which the inverse
-/// depth is interpolated linearly (exact for planes), with the nearest surface in front. So the
-/// target is covered densely whatever the two resolutions are, and nothing is invented across
+/// The depth image is a mesh: neighbouring pixels on one surface span triangles, in which the
+/// inverse depth is interpolated linearly (exact for planes), with the nearest surface in front. So
+/// the target is covered densely whatever the two resolutions are, and nothing is invented across
 /// the edges of objects.
 #[derive(Clone, Debug)]
 pub struct DepthRegistration {
@@ -57,8 +57,8 @@ impl DepthRegistration {
         }
     }
 
-    /// Depth in metres along the optical axis of the target, NaN where unknown; `None` when the depth
-    /// image has another size than its calibration.
+    /// Depth in metres along the optical axis of the target, NaN where unknown; `None` when the
+    /// depth image has another size than its calibration.
     #[must_use]
     pub fn register(&self, depth: &Image<f32>) -> Option<Image<f32>> {
         let camera = &self.calibration.camera;

@@ -57,7 +57,8 @@ pub struct Recording {
     pub keyframes: Vec<RecordedKeyframe>,
     /// Revision of the newest poses; `None` when there are none.
     pub pose_revision: Option<u64>,
-    /// What a later session needs to go on; `None` when the run was killed or is of an earlier version.
+    /// What a later session needs to go on; `None` when the run was killed or is of an earlier
+    /// version.
     pub continuation: Option<Continuation>,
     /// The end marker; `None` when the run was killed or is still going on.
     pub end: Option<EndRecord>,
@@ -66,14 +67,15 @@ pub struct Recording {
     /// Depth pixels that were dropped because they lie outside the image or are not finite and
     /// positive.
     pub num_invalid_pixels: u64,
-    /// Parts of the continuation that were dropped because they name keyframes or pixels that do not exist, or
-    /// measure nothing.
+    /// Parts of the continuation that were dropped because they name keyframes or pixels that do
+    /// not exist, or measure nothing.
     pub num_invalid_links: usize,
 }
 
 impl Recording {
-    /// Reads a recording, as far as it is whole, or the submaps of a run by their table ([`crate::SUBMAP_TABLE`]): the same where the run
-    /// ended by itself; or one submap, whose frame is then the world.
+    /// Reads a recording, as far as it is whole, or the submaps of a run by their table
+    /// ([`crate::SUBMAP_TABLE`]): the same where the run ended by itself; or one submap, whose
+    /// frame is then the world.
     ///
     /// # Errors
     /// When the file cannot be read, is not a recording, or has lost its session record, without
@@ -128,7 +130,8 @@ pub(crate) struct Newest {
 }
 
 impl Newest {
-    /// Keeps a record where none is newer. What came before its keyframe can only be of a keyframe lost to damage.
+    /// Keeps a record where none is newer. What came before its keyframe can only be of a keyframe
+    /// lost to damage.
     pub(crate) fn take(&mut self, record: Record) {
         match record {
             Record::Session(session) => self.session = Some(session),
@@ -200,8 +203,9 @@ impl Newest {
         })
     }
 
-    /// The keyframes with their cameras, that of the session where they have none of their own, and poses. One whose camera could not be one
-    /// is left out; an image of another size than its camera's belongs to none.
+    /// The keyframes with their cameras, that of the session where they have none of their own, and
+    /// poses. One whose camera could not be one is left out; an image of another size than its
+    /// camera's belongs to none.
     fn placed_keyframes(self, of_session: &RecordedCamera) -> Vec<RecordedKeyframe> {
         let poses = self.poses.into_iter().flat_map(|poses| poses.poses);
         let poses: BTreeMap<u32, Sim3> = poses.collect();

@@ -81,7 +81,8 @@ pub struct RecordedPoint {
     pub host: u32,
     /// Its pixel there.
     pub pixel: [f64; 2],
-    /// Inverse depth there, the one it was created with and the standard deviation of that, 1 / world units.
+    /// Inverse depth there, the one it was created with and the standard deviation of that, 1 /
+    /// world units.
     pub idepth: [f64; 3],
     /// Other keyframes that see it, and where.
     pub observations: Vec<(u32, [f64; 2])>,
@@ -103,8 +104,9 @@ pub struct RecordedFrame {
 }
 
 impl Continuation {
-    /// Drops what names a keyframe that does not exist, a pixel outside its image, or a measurement without content; returns how
-    /// much. `size_of` says the width and height of the image of a keyframe that exists.
+    /// Drops what names a keyframe that does not exist, a pixel outside its image, or a measurement
+    /// without content; returns how much. `size_of` says the width and height of the image of a
+    /// keyframe that exists.
     pub(super) fn drop_invalid(
         &mut self,
         size_of: impl Fn(u32) -> Option<(usize, usize)>,

@@ -258,8 +258,9 @@ fn decode_image(input: &mut Input, with_images: bool) -> Option<Option<Image<u8>
     })
 }
 
-/// Most pixels that a byte of a compressed image is believed to hold. Images that can be tracked have 1 to 20;
-/// a deflate stream can be made to hold a thousand, and a small file would fill the memory.
+/// Most pixels that a byte of a compressed image is believed to hold. Images that can be tracked
+/// have 1 to 20; a deflate stream can be made to hold a thousand, and a small file would fill the
+/// memory.
 const MAX_PIXELS_PER_BYTE: usize = 64;
 
 /// Whether a compressed image can be one of ours: simpler ones are written as they are.

@@ -1,8 +1,8 @@
 //! The `.mgk` recording: everything mapping needs, appended while a run goes on.
 //!
-//! A recording is a sequence of self-contained, checksummed records (see `docs/formats.md`). Each is
-//! handed to the operating system as soon as it is complete, so a killed program loses at most the
-//! record it was writing; a damaged file yields every record that is whole.
+//! A recording is a sequence of self-contained, checksummed records (see `docs/formats.md`). Each
+//! is handed to the operating system as soon as it is complete, so a killed program loses at most
+//! the record it was writing; a damaged file yields every record that is whole.
 
 mod assemble;
 mod continuation;
@@ -168,22 +168,25 @@ impl Record {
         format::encode_record(self)
     }
 
-    /// Its kind and payload, for files that have headers of their own; `None` where a list exceeds 4 GiB.
+    /// Its kind and payload, for files that have headers of their own; `None` where a list exceeds
+    /// 4 GiB.
     pub(crate) fn payload(&self) -> Option<(u32, Vec<u8>)> {
         let mut payload = Bytes(Vec::new());
         let kind = format::encode_payload(self, &mut payload)?;
         Some((kind, payload.0))
     }
 
-    /// Bytes of a whole record, its header included, by what that header says; `None` when this is none, or damaged. Whoever gets a record in
-    /// pieces knows by the first one how much it will be.
+    /// Bytes of a whole record, its header included, by what that header says; `None` when this is
+    /// none, or damaged. Whoever gets a record in pieces knows by the first one how much it will
+    /// be.
     #[must_use]
     pub fn declared_bytes(header: &[u8; Self::HEADER_BYTES]) -> Option<u64> {
         let header = format::parse_record_header(header)?;
         Some(Self::HEADER_BYTES as u64 + u64::from(header.payload_bytes))
     }
 
-    /// The record that these bytes are, from header to end; `None` when they are damaged, or of a kind of a later version.
+    /// The record that these bytes are, from header to end; `None` when they are damaged, or of a
+    /// kind of a later version.
     #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let (header, payload) = bytes.split_first_chunk()?;

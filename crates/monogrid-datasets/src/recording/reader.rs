@@ -27,8 +27,8 @@ const BUFFER_BYTES: usize = 1 << 16;
 
 /// Iterates over the whole records of a file.
 ///
-/// Memory and time are bounded by the bytes of the file, whatever they are: no more is allocated than a record
-/// has bytes (an image: 64 times as much), and a file is read at most three times.
+/// Memory and time are bounded by the bytes of the file, whatever they are: no more is allocated
+/// than a record has bytes (an image: 64 times as much), and a file is read at most three times.
 #[derive(Debug)]
 pub struct RecordingReader<R = File> {
     input: BufReader<R>,
@@ -38,8 +38,9 @@ pub struct RecordingReader<R = File> {
     /// Where the next byte is read.
     offset: u64,
     length: u64,
-    /// Bytes of records whose checksum was wrong. Records do not overlap, so that a file as we write it, however
-    /// damaged, has no more of them than bytes; one that was made to be read again and again has.
+    /// Bytes of records whose checksum was wrong. Records do not overlap, so that a file as we
+    /// write it, however damaged, has no more of them than bytes; one that was made to be read
+    /// again and again has.
     refuted_bytes: u64,
     /// Where the last whole record ends.
     whole_until: u64,
@@ -97,7 +98,8 @@ impl<R: Read + Seek> RecordingReader<R> {
         })
     }
 
-    /// Reads on where an earlier reader of the same file, which has grown, had its [`RecordingReader::whole_until`].
+    /// Reads on where an earlier reader of the same file, which has grown, had its
+    /// [`RecordingReader::whole_until`].
     #[must_use]
     pub fn read_on(mut self, whole_until: u64) -> Self {
         self.position = self.position.max(whole_until);
@@ -105,7 +107,8 @@ impl<R: Read + Seek> RecordingReader<R> {
         self
     }
 
-    /// Where the last whole record that was read ends, bytes: what follows may still be being written.
+    /// Where the last whole record that was read ends, bytes: what follows may still be being
+    /// written.
     #[must_use]
     pub fn whole_until(&self) -> u64 {
         self.whole_until

@@ -129,7 +129,8 @@ pub struct Dataset {
 }
 
 impl Dataset {
-    /// Finds out what `path` (a folder, an archive of one, or a text file with a list of images) holds.
+    /// Finds out what `path` (a folder, an archive of one, or a text file with a list of images)
+    /// holds.
     ///
     /// # Errors
     /// When nothing is there, when it is no image sequence or an empty one, when a list cannot be
@@ -167,7 +168,8 @@ impl Dataset {
         }
     }
 
-    /// Opens what an archive holds; calibration and reference may lie beside its images as in a folder.
+    /// Opens what an archive holds; calibration and reference may lie beside its images as in a
+    /// folder.
     fn open_archive(path: &Path, options: SourceOptions) -> Result<Self, DatasetError> {
         let archive = Archive::open(path)?;
         let mut dataset = Self::open_folder(&archive.root(), options)?;

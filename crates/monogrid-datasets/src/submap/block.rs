@@ -16,7 +16,8 @@ pub(super) enum Codec {
     Plain,
     /// As zlib.
     Deflated,
-    /// As zlib, all first bytes of twelve, then all second ones, ...: depth pixels, whose exponents are alike.
+    /// As zlib, all first bytes of twelve, then all second ones, ...: depth pixels, whose exponents
+    /// are alike.
     Planes,
 }
 
@@ -33,10 +34,12 @@ impl Codec {
     }
 }
 
-/// The bytes to store: compressed as is wanted where that makes them smaller, and not more so than readers believe.
+/// The bytes to store: compressed as is wanted where that makes them smaller, and not more so than
+/// readers believe.
 ///
-/// Deflate at its lowest level: on depth in planes it is smaller and three times faster than the fastest zstd in Rust, and the higher
-/// levels take three times as long for a twentieth of the bytes.
+/// Deflate at its lowest level: on depth in planes it is smaller and three times faster than the
+/// fastest zstd in Rust, and the higher levels take three times as long for a twentieth of the
+/// bytes.
 pub(super) fn pack(wanted: Codec, payload: Vec<u8>) -> (Codec, Vec<u8>) {
     let packed = match wanted {
         Codec::Plain => None,
@@ -52,7 +55,8 @@ pub(super) fn pack(wanted: Codec, payload: Vec<u8>) -> (Codec, Vec<u8>) {
     }
 }
 
-/// The bytes that were packed; `None` where there are not exactly `length`, or they cannot be understood.
+/// The bytes that were packed; `None` where there are not exactly `length`, or they cannot be
+/// understood.
 pub(super) fn unpack(codec: Codec, stored: Vec<u8>, length: usize) -> Option<Vec<u8>> {
     let payload = match codec {
         Codec::Plain => stored,

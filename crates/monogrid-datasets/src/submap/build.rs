@@ -31,7 +31,8 @@ pub struct SubmapBuilder {
     poses: Vec<SubmapPose>,
 }
 
-/// Depth is within the bounds of a submap where its standard deviation is at most this part of it: what is known less well lies anywhere.
+/// Depth is within the bounds of a submap where its standard deviation is at most this part of it:
+/// what is known less well lies anywhere.
 const MAX_SIGMA_WITHIN: f32 = 0.1;
 
 impl SubmapBuilder {
@@ -56,7 +57,8 @@ impl SubmapBuilder {
         Some(this)
     }
 
-    /// A keyframe with this revision of its depth, and where it lies; `None` where that is not known in the frame of the submap.
+    /// A keyframe with this revision of its depth, and where it lies; `None` where that is not
+    /// known in the frame of the submap.
     pub fn add_keyframe(
         &mut self,
         mut keyframe: KeyframeRecord,

@@ -33,8 +33,8 @@ pub struct SubmapInfo {
     pub scale: Scale,
     /// Times of the first and the last keyframe, nanoseconds; `None` without keyframes.
     pub times_ns: Option<[i64; 2]>,
-    /// Lowest and highest coordinates of cameras and of what they saw well, in the frame and unit of the submap; `None` without
-    /// keyframes that lie in it.
+    /// Lowest and highest coordinates of cameras and of what they saw well, in the frame and unit
+    /// of the submap; `None` without keyframes that lie in it.
     pub bounds: Option<[[f64; 3]; 2]>,
 }
 
@@ -100,7 +100,8 @@ pub(super) fn encode(info: &SubmapInfo, blocks: &[SubmapBlock]) -> Option<Vec<u8
     Some(out.0)
 }
 
-/// The directory that ends at `end`; `None` where its blocks do not follow one another from the header to itself.
+/// The directory that ends at `end`; `None` where its blocks do not follow one another from the
+/// header to itself.
 pub(super) fn decode(bytes: &[u8], begin: u64) -> Option<(SubmapInfo, Vec<SubmapBlock>)> {
     let mut input = Input::new(bytes);
     let info = decode_info(&mut input)?;

@@ -3,8 +3,8 @@
 use super::ENDING;
 use std::fmt;
 
-/// The SHA-256 of a submap's directory, which holds the SHA-256 of each of its blocks: one name for all that is in it, which can be
-/// checked block by block.
+/// The SHA-256 of a submap's directory, which holds the SHA-256 of each of its blocks: one name for
+/// all that is in it, which can be checked block by block.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct SubmapId(pub(super) Hash);
 

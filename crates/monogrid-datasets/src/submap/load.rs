@@ -32,7 +32,8 @@ pub fn submap_table_in(folder: &Path) -> Option<PathBuf> {
     tables.into_iter().find(|table| table.is_file())
 }
 
-/// What a recording of the same run gives. A submap that is missing or damaged is an error, since it can be fetched again.
+/// What a recording of the same run gives. A submap that is missing or damaged is an error, since
+/// it can be fetched again.
 pub(crate) fn read_recording(
     table_file: &Path,
     options: ReadOptions,
@@ -62,8 +63,8 @@ pub(crate) fn read_recording(
     newest.into_recording(Damage::default(), table_file)
 }
 
-/// One submap as a recording of its own: the world is its frame, keyframes are counted from 0, and what the run says of all of them, or of
-/// those of other submaps, is left out.
+/// One submap as a recording of its own: the world is its frame, keyframes are counted from 0, and
+/// what the run says of all of them, or of those of other submaps, is left out.
 pub(crate) fn read_single(file: &Path, options: ReadOptions) -> Result<Recording, DatasetError> {
     let mut reader = SubmapReader::open(file)?;
     let mut newest = Newest::default();

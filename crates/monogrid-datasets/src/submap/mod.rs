@@ -1,8 +1,9 @@
 //! Submaps (`.mgs`): pieces of a run that never change, and the table that says where they lie.
 //!
-//! A submap is a file of some keyframes in a frame of their own, that of the first of them. It is named by what is in it
-//! ([`SubmapId`]), so that whoever has it has it for ever; what a graph moves is in [`SubmapTable`], beside the files. Its blocks are the
-//! records of a recording (see `docs/formats.md`), each with its hash, and are read one by one.
+//! A submap is a file of some keyframes in a frame of their own, that of the first of them. It is
+//! named by what is in it ([`SubmapId`]), so that whoever has it has it for ever; what a graph
+//! moves is in [`SubmapTable`], beside the files. Its blocks are the records of a recording (see
+//! `docs/formats.md`), each with its hash, and are read one by one.
 
 mod block;
 mod build;

@@ -11,7 +11,8 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-/// A submap whose directory is known. Blocks are read when they are asked for, by their range of the file.
+/// A submap whose directory is known. Blocks are read when they are asked for, by their range of
+/// the file.
 ///
 /// No more is allocated than a block can mean: 64 times its bytes, an image 64 times its bytes.
 #[derive(Debug)]
@@ -27,7 +28,8 @@ impl SubmapReader {
     /// Opens a file; where its name is that of a submap, it must be that one.
     ///
     /// # Errors
-    /// When it cannot be read, is not a submap or another one, is of a later version, or its directory is damaged.
+    /// When it cannot be read, is not a submap or another one, is of a later version, or its
+    /// directory is damaged.
     pub fn open(path: &Path) -> Result<Self, DatasetError> {
         let (file, _) = open_file(path)?;
         let reader = Self::new(file, path)?;

@@ -27,7 +27,8 @@ pub type SubmapPose = (u32, Option<Sim3>);
 pub struct SubmapTable {
     /// Revision of the poses, that of the recording; `None` when there are none.
     pub pose_revision: Option<u64>,
-    /// The submaps in the order in which they were closed. What a later one says of a keyframe replaces what earlier ones say.
+    /// The submaps in the order in which they were closed. What a later one says of a keyframe
+    /// replaces what earlier ones say.
     pub submaps: Vec<SubmapEntry>,
 }
 
@@ -44,7 +45,8 @@ pub struct SubmapEntry {
     /// Its pose; `None` where it has none in the map.
     #[serde(serialize_with = "write_pose", deserialize_with = "read_pose")]
     pub world_from_submap: Option<Sim3>,
-    /// Keyframes whose pose in the world is another one than the submap's and theirs in it give, to the last bit, and that pose.
+    /// Keyframes whose pose in the world is another one than the submap's and theirs in it give, to
+    /// the last bit, and that pose.
     pub moved: Vec<MovedKeyframe>,
 }
 
@@ -68,7 +70,8 @@ struct TableFile {
 }
 
 impl SubmapEntry {
-    /// A submap of `bytes`, whose keyframes lie in it at `poses` and in the world where `world` says: with the first of them.
+    /// A submap of `bytes`, whose keyframes lie in it at `poses` and in the world where `world`
+    /// says: with the first of them.
     #[must_use]
     pub fn placed(
         (file, bytes): (SubmapId, u64),

@@ -449,7 +449,8 @@ proptest! {
     }
 }
 
-/// Read on after every byte that comes, a file gives the records that it gives as a whole, each once.
+/// Read on after every byte that comes, a file gives the records that it gives as a whole, each
+/// once.
 #[test]
 fn a_recording_that_grows_is_read_on() {
     let bytes = write(&run()).bytes;

@@ -558,7 +558,8 @@ fn depth_without_images_opens() {
     assert_eq!(dataset.frame_interval_secs(), None);
 }
 
-/// The files of a folder as a zip file (with an entry that leads out of it), as a tar file with a long name, and as a gzipped one.
+/// The files of a folder as a zip file (with an entry that leads out of it), as a tar file with a
+/// long name, and as a gzipped one.
 fn archives(folder: &Path) -> TempDir {
     let out = self::folder();
     let create = |name: &str| fs::File::create(out.path().join(name)).expect("writable");
@@ -736,7 +737,8 @@ fn a_zip_file_whose_content_is_not_what_went_in_is_refused() {
     assert!(matches!(error, DatasetError::Io { .. }), "{error}");
 }
 
-/// A tar file with a header of this kind and size (of zeros that are not written), and an image behind it.
+/// A tar file with a header of this kind and size (of zeros that are not written), and an image
+/// behind it.
 fn tar_with_header(path: &Path, kind: tar::EntryType, size: u64) {
     use std::io::{Seek as _, SeekFrom, Write as _};
     let mut header = tar::Header::new_gnu();

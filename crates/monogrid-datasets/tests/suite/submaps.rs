@@ -18,7 +18,8 @@ use std::path::Path;
 
 const ALL: ReadOptions = ReadOptions { with_images: true };
 
-/// Poses of six keyframes in the world: those of the first submap as it has them, the others moved since; keyframe 4 is in no map.
+/// Poses of six keyframes in the world: those of the first submap as it has them, the others moved
+/// since; keyframe 4 is in no map.
 fn world(id: u32) -> Option<Sim3> {
     (id != 4).then(|| pose(id as usize))
 }
@@ -60,7 +61,8 @@ fn last_records() -> [Record; 2] {
     [Record::Continuation(continuation), Record::End(end)]
 }
 
-/// A submap of these keyframes. In it they lie as they did when it was closed: `closed` says where in the world.
+/// A submap of these keyframes. In it they lie as they did when it was closed: `closed` says where
+/// in the world.
 fn submap(ids: &[u32], closed: impl Fn(u32) -> Option<Sim3>, more: &[Record]) -> BuiltSubmap {
     let mut builder = SubmapBuilder::new(&session()).unwrap();
     let origin = closed(ids[0]).unwrap().inverse();

@@ -1,7 +1,8 @@
-//! Semi-global aggregation of the costs [Hirschmüller, *Stereo Processing by Semiglobal Matching and Mutual
-//! Information*, PAMI 2008].
+//! Semi-global aggregation of the costs [Hirschmüller, *Stereo Processing by Semiglobal Matching
+//! and Mutual Information*, PAMI 2008].
 //!
-//! Along each of eight directions r, the cost of a plane k at a pixel p is that of the best way there,
+//! Along each of eight directions r, the cost of a plane k at a pixel p is that of the best way
+//! there,
 //!
 //! ```text
 //! L(p, k) = C(p, k) + min(L(p-r, k), L(p-r, k±1) + P1, min_i L(p-r, i) + P2) - min_i L(p-r, i)
@@ -16,7 +17,8 @@ use monogrid_image::GrayImage;
 /// A cost that no way reaches.
 const WALL: u8 = u8::MAX;
 
-/// Most that a step may cost: what the ways of four directions cost beyond the pixels then fits a byte.
+/// Most that a step may cost: what the ways of four directions cost beyond the pixels then fits a
+/// byte.
 pub(super) const MAX_STEP_COST: u16 = 63;
 const _: () = assert!(MAX_COST as u16 + MAX_STEP_COST < WALL as u16 && 4 * MAX_STEP_COST < 256);
 
@@ -56,7 +58,8 @@ struct Way {
     least: u8,
 }
 
-/// Four directions: from the left and from the three pixels of the row above, or all of that turned around.
+/// Four directions: from the left and from the three pixels of the row above, or all of that turned
+/// around.
 struct Pass<'a> {
     volume: &'a CostVolume,
     image: &'a GrayImage,
@@ -80,7 +83,8 @@ impl Pass<'_> {
         }
     }
 
-    /// Tells of each pixel and what the steps of the ways along the four directions cost there, by plane.
+    /// Tells of each pixel and what the steps of the ways along the four directions cost there, by
+    /// plane.
     fn run(&self, mut tell: impl FnMut(usize, &[u8])) {
         let (width, planes) = (self.volume.width, self.volume.idepths.len());
         let way = Way {

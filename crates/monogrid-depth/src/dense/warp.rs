@@ -8,12 +8,14 @@ use monogrid_image::{Image, for_lanes};
 
 /// Sources see a pixel that keeps this distance from their border, px.
 const MARGIN_PX: f32 = 2.0;
-/// Where all of eight pixels are further than this outside of a source, no window that it sees reaches them, px.
+/// Where all of eight pixels are further than this outside of a source, no window that it sees
+/// reaches them, px.
 const BESIDE_PX: f32 = 8.0;
 /// Nothing nearer to a source than this share of the plane's distance is seen.
 const NEAREST: f32 = 1e-3;
 
-/// The length of rows that are worked on eight at a time, with room for what begins in the last eight.
+/// The length of rows that are worked on eight at a time, with room for what begins in the last
+/// eight.
 pub(super) fn padded(width: usize) -> usize {
     width.next_multiple_of(LANES) + LANES
 }
@@ -71,15 +73,17 @@ pub(super) fn sums_of_four(image: &Image<u8>) -> Image<u16> {
 #[derive(Debug)]
 pub(super) struct WarpOfPlane<'a> {
     image: &'a Image<u16>,
-    /// Where the first pixel of the keyframe is seen, homogeneous, and how that moves from pixel to pixel and from row to row.
+    /// Where the first pixel of the keyframe is seen, homogeneous, and how that moves from pixel to
+    /// pixel and from row to row.
     first: [f32; 3],
     step: [f32; 3],
     row_step: [f32; 3],
 }
 
 for_lanes! {
-    /// The pixels of a row, eight at a time: the source there in quarters of a grey level (where it does not see the pixel, at its
-    /// border; 0 far from it), and 0, or infinity where it does not see them.
+    /// The pixels of a row, eight at a time: the source there in quarters of a grey level (where it
+    /// does not see the pixel, at its border; 0 far from it), and 0, or infinity where it does not
+    /// see them.
     pub(super) fn warp_row = warp_row_with, (
         warp: &WarpOfPlane<'_>,
         y: usize,

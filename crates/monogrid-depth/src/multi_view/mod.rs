@@ -9,11 +9,11 @@
 //! x'(rho) = pi(K R K^-1 (x, y, 1) + rho K t / s)          (s R, t: source from keyframe)
 //! ```
 //!
-//! Flow per pixel: the sources that see it with enough disparity along its gradient ([`pixel_projection`]) →
-//! the best normalised correlation of a patch over a short range of inverse depths ([`search`]) →
-//! Gauss-Newton on ln(rho) over all these sources, with gain and bias of each patch free, which
-//! also gives the variance. A pixel that its sources do not agree about has no new depth. Half of
-//! the pixels take the mean of their neighbours where these agree.
+//! Flow per pixel: the sources that see it with enough disparity along its gradient
+//! ([`pixel_projection`]) → the best normalised correlation of a patch over a short range of
+//! inverse depths ([`search`]) → Gauss-Newton on ln(rho) over all these sources, with gain and bias
+//! of each patch free, which also gives the variance. A pixel that its sources do not agree about
+//! has no new depth. Half of the pixels take the mean of their neighbours where these agree.
 
 mod pixel_projection;
 mod search;

@@ -161,7 +161,8 @@ impl<'a> PixelProjection<'a> {
         [(shift.x - x * shift.z) / p.z, (shift.y - y * shift.z) / p.z]
     }
 
-    /// Grey values of the patch around a point that [`PixelProjection::shows`], or within a pixel of one.
+    /// Grey values of the patch around a point that [`PixelProjection::shows`], or within a pixel
+    /// of one.
     #[inline(always)]
     pub fn values<L: Lanes>(&self, lanes: L, [x, y]: [f64; 2]) -> [f32; SAMPLES] {
         let (x, y) = (x as f32, y as f32);

@@ -1,8 +1,9 @@
 //! Semi-dense inverse depth and its variance against true depth.
 //!
 //! Flow: [`DepthEvaluator::add_keyframe`] for every keyframe, then [`DepthEvaluator::finish`]. One
-//! scale, the median ratio of true to estimated depth over all keyframes, is applied before anything
-//! is compared: a single camera does not see it. Images may be dropped after they were added.
+//! scale, the median ratio of true to estimated depth over all keyframes, is applied before
+//! anything is compared: a single camera does not see it. Images may be dropped after they were
+//! added.
 
 mod error;
 
@@ -218,8 +219,8 @@ impl DepthEvaluator {
     /// Adds a keyframe.
     ///
     /// # Errors
-    /// Images of another size, or an estimate outside the image, that is not finite or whose variance
-    /// is not positive.
+    /// Images of another size, or an estimate outside the image, that is not finite or whose
+    /// variance is not positive.
     pub fn add_keyframe(&mut self, keyframe: &KeyframeDepth) -> Result<(), DepthError> {
         check(keyframe)?;
         let has_gradient = |gradient: f32| gradient >= self.config.min_gradient;

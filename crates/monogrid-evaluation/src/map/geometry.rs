@@ -46,8 +46,8 @@ pub(crate) struct TrueSurface {
 }
 
 impl TrueSurface {
-    /// Of the truly occupied cells, those in view are to be found. At most `max_queries` cells of each set, evenly spread over
-    /// their order, ask for their nearest neighbour.
+    /// Of the truly occupied cells, those in view are to be found. At most `max_queries` cells of
+    /// each set, evenly spread over their order, ask for their nearest neighbour.
     pub fn new(truth: &TruthGrid, view: &InView, tolerance: f64, max_queries: usize) -> Self {
         let cells: Vec<[i32; 3]> = truth.keys_in(Occupancy::Occupied).collect();
         let in_view: Vec<[i32; 3]> = cells
@@ -76,7 +76,8 @@ impl TrueSurface {
         distances.iter().filter(|d| **d > reach).count() as u64
     }
 
-    /// Distances between `predicted` cells and this surface; the ratio of their numbers is left out.
+    /// Distances between `predicted` cells and this surface; the ratio of their numbers is left
+    /// out.
     pub fn distances(&self, predicted: Vec<[i32; 3]>) -> SurfaceDistances {
         let from_predicted = sample(&predicted, self.max_queries);
         let to_truth = distances(&from_predicted, &self.tree, self.resolution);

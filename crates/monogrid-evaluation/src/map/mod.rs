@@ -37,12 +37,12 @@ pub struct MapEvaluationConfig<'a> {
     /// Predicted and true surfaces within this distance agree, map units. Default: the larger of
     /// 0.05 and the resolution.
     pub tolerance_m: Option<f64>,
-    /// Cells that some keyframe looks at, as [`crate::cells_in_view`] makes it; free or occupied there
-    /// means "in view". Its cells may be a whole number of times as large as those of the truth.
-    /// Completeness then only asks for surfaces in view. Default: none.
+    /// Cells that some keyframe looks at, as [`crate::cells_in_view`] makes it; free or occupied
+    /// there means "in view". Its cells may be a whole number of times as large as those of the
+    /// truth. Completeness then only asks for surfaces in view. Default: none.
     pub in_view: Option<&'a TruthGrid>,
-    /// At most so many cells of each surface ask for their nearest neighbour; with 0 the distances are
-    /// absent and the shares within the tolerance 0. Default 1,000,000.
+    /// At most so many cells of each surface ask for their nearest neighbour; with 0 the distances
+    /// are absent and the shares within the tolerance 0. Default 1,000,000.
     pub max_distance_queries: usize,
 }
 
@@ -136,8 +136,8 @@ fn check_resolution(estimate: &OccupancyMap, truth: &TruthGrid) -> Result<(), Ma
     Ok(())
 }
 
-/// A truth prepared for the comparison of many maps with it: what depends on the truth alone (counts,
-/// the view, the tree of its surface) is found once.
+/// A truth prepared for the comparison of many maps with it: what depends on the truth alone
+/// (counts, the view, the tree of its surface) is found once.
 #[derive(Debug)]
 pub struct MapEvaluator<'a> {
     truth: &'a TruthGrid,
@@ -277,7 +277,8 @@ fn probability(log_odds: f32) -> f64 {
     probability_from_log_odds(f64::from(log_odds))
 }
 
-/// Adds to every slice what the cells that were not observed differ by: half where the truth is known.
+/// Adds to every slice what the cells that were not observed differ by: half where the truth is
+/// known.
 fn sums_of_squares(slices: &[Slice], layers: &[CellCounts]) -> Vec<f64> {
     let sum = |(slice, all): (&Slice, &CellCounts)| {
         let known = all.free + all.occupied;

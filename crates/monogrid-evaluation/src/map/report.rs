@@ -103,8 +103,8 @@ pub struct MapReport {
     pub predicted: u64,
     /// Those outside the box: they enter the distances and nothing else.
     pub predicted_outside: u64,
-    /// Predicted occupied cells where the truth knows nothing (outside the room), farther than 0.1 map units from any true
-    /// surface: false walls. 0 where distances are not asked for.
+    /// Predicted occupied cells where the truth knows nothing (outside the room), farther than 0.1
+    /// map units from any true surface: false walls. 0 where distances are not asked for.
     pub predicted_beyond: u64,
     /// Matthews correlation over the observed cells and these, which count as false.
     pub mcc_with_beyond: f64,

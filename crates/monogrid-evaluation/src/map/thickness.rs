@@ -1,9 +1,10 @@
 //! How many cells thick walls are.
 //!
-//! Through each truly occupied cell beside free space runs a line of cells across its surface: along the axis on which the
-//! true surface is thinnest. The thickness there is the number of cells in a row that a map holds occupied on
-//! that line, at the true surface or at most [`REACH`] cells before or behind it. What the truth has itself, measured in the same
-//! way, stands beside it: voxels of a slanted wall are two in a row.
+//! Through each truly occupied cell beside free space runs a line of cells across its surface:
+//! along the axis on which the true surface is thinnest. The thickness there is the number of cells
+//! in a row that a map holds occupied on that line, at the true surface or at most [`REACH`] cells
+//! before or behind it. What the truth has itself, measured in the same way, stands beside it:
+//! voxels of a slanted wall are two in a row.
 
 use crate::statistics::median;
 use crate::truth::TruthGrid;
@@ -53,7 +54,8 @@ struct Crossing {
 }
 
 impl Crossing {
-    /// Along the axis on which fewest cells are occupied in a row, with free space at one end of them at least.
+    /// Along the axis on which fewest cells are occupied in a row, with free space at one end of
+    /// them at least.
     fn of(origin: [i32; 3], truth: &TruthGrid) -> Option<Self> {
         let of_axis = |axis: [i32; 3]| {
             let state = |at: i32| truth.state(along(origin, axis, at));

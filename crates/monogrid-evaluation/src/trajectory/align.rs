@@ -5,13 +5,15 @@ use monogrid_geometry::{
     AlignmentError, Mat3, Rotation, Sim3, Vec3, align_similarity, nalgebra::Rotation3,
 };
 
-/// A path whose spread across is a smaller share of that along does not tell how the camera was turned around it.
+/// A path whose spread across is a smaller share of that along does not tell how the camera was
+/// turned around it.
 const STRAIGHT: f64 = 0.01;
-/// Weight of the orientations beside the positions of a straight path: these fix two angles, those the third.
+/// Weight of the orientations beside the positions of a straight path: these fix two angles, those
+/// the third.
 const ORIENTATION_WEIGHT: f64 = 1e-3;
 
-/// The similarity or rigid transform that brings the estimated positions closest to the true ones; on a straight
-/// path the angle around it comes from the orientations.
+/// The similarity or rigid transform that brings the estimated positions closest to the true ones;
+/// on a straight path the angle around it comes from the orientations.
 pub(super) fn align(
     pairs: &[PosePair],
     alignment: TrajectoryAlignment,
@@ -49,8 +51,8 @@ fn along_a_line(pairs: &[PosePair], with_scale: bool) -> Option<Sim3> {
     moments.transform(&turn, with_scale)
 }
 
-/// The transform that brings positions and orientations together at once: an error of `radius` in a position counts as
-/// much as one radian. `None` where nobody moves.
+/// The transform that brings positions and orientations together at once: an error of `radius` in a
+/// position counts as much as one radian. `None` where nobody moves.
 pub(super) fn align_poses(pairs: &[PosePair], radius: f64, with_scale: bool) -> Option<Sim3> {
     /// The scale depends on the rotation, which depends on the scale.
     const ROUNDS: usize = 5;
@@ -141,7 +143,8 @@ mod tests {
         Se3::exp(&Vec6::from_row_slice(&v))
     }
 
-    /// A camera that turns a little while it drives `across` off a straight line, seen from another frame.
+    /// A camera that turns a little while it drives `across` off a straight line, seen from another
+    /// frame.
     fn pairs(gt_from_est: &Sim3, across: f64) -> Vec<PosePair> {
         (0..40)
             .map(|i| {

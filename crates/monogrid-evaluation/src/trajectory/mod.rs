@@ -1,8 +1,8 @@
 //! Absolute and relative error of an estimated trajectory, as `evo` computes them, and scale drift.
 //!
-//! Flow: **associate** by time → **align** by Umeyama → errors of positions (ATE) and of motions over
-//! one frame (RPE); beside them the scale of short windows and the share of the truth that is covered.
-//! Poses are `world_from_camera`; lengths are those of the true trajectory.
+//! Flow: **associate** by time → **align** by Umeyama → errors of positions (ATE) and of motions
+//! over one frame (RPE); beside them the scale of short windows and the share of the truth that is
+//! covered. Poses are `world_from_camera`; lengths are those of the true trajectory.
 
 mod align;
 mod associate;
@@ -50,8 +50,8 @@ pub struct TrajectoryConfig<'a> {
     /// Time between two frames of the source, for the coverage, seconds. Default: taken from the
     /// estimate as the median of those of its intervals that are not gaps.
     pub frame_interval_secs: Option<f64>,
-    /// Times of the frames of the source, nanoseconds, in any order: the coverage is that of the frames. Default:
-    /// not known, and the coverage that of the true poses.
+    /// Times of the frames of the source, nanoseconds, in any order: the coverage is that of the
+    /// frames. Default: not known, and the coverage that of the true poses.
     pub frame_times_ns: Option<&'a [i64]>,
     /// Poses that count as wrong.
     pub wrong: WrongPoseConfig,
@@ -141,8 +141,8 @@ pub struct TrajectoryReport {
     pub rpe_trans: ErrorSummary,
     /// All of the rotation error over one frame, degrees.
     pub rpe_rot_deg: ErrorSummary,
-    /// Angle between z of the estimate and z of the truth as the camera sees them, median, degrees; nothing is aligned for it. What
-    /// it is worth depends on both worlds having z up.
+    /// Angle between z of the estimate and z of the truth as the camera sees them, median, degrees;
+    /// nothing is aligned for it. What it is worth depends on both worlds having z up.
     pub tilt_deg: f64,
     /// Scale that was applied to the estimate (1 unless aligned with scale).
     pub scale: f64,
@@ -162,8 +162,8 @@ pub struct TrajectoryReport {
     pub estimated: usize,
     /// Poses in the truth.
     pub truth: usize,
-    /// Share with an estimated pose within half a frame interval, [0, 1]: of the frames whose true pose is known,
-    /// or of all true poses where the times of the frames are not.
+    /// Share with an estimated pose within half a frame interval, [0, 1]: of the frames whose true
+    /// pose is known, or of all true poses where the times of the frames are not.
     pub coverage: f64,
     /// Frames that it is the share of; `None` where their times are not known.
     pub frames: Option<usize>,
@@ -184,8 +184,8 @@ pub struct TrajectoryReport {
 /// `evo`: every pose of the shorter trajectory takes the nearest pose of the longer one.
 ///
 /// # Errors
-/// A setting outside its range, a pose that is not finite, fewer than two (three, when aligned) pairs
-/// of poses, or positions that determine no alignment.
+/// A setting outside its range, a pose that is not finite, fewer than two (three, when aligned)
+/// pairs of poses, or positions that determine no alignment.
 pub fn evaluate_trajectory(
     estimate: &[StampedPose],
     truth: &[StampedPose],

@@ -21,10 +21,12 @@ const LENGTH_SECS: f64 = 3.0;
 const STRIDE_SECS: f64 = 2.0;
 /// A window counts with at least so many matched poses.
 const MIN_POSES: usize = 10;
-/// The last window may be cut by the end of the data; it counts when its poses span at least this share of its length.
+/// The last window may be cut by the end of the data; it counts when its poses span at least this
+/// share of its length.
 const MIN_SPAN_RATIO: f64 = 1.0 / 3.0;
-/// A window in which the true camera hardly moves does not tell a scale. It counts when the root mean square distance of its true
-/// positions from their mean is at least this share of the median of that spread over all windows.
+/// A window in which the true camera hardly moves does not tell a scale. It counts when the root
+/// mean square distance of its true positions from their mean is at least this share of the median
+/// of that spread over all windows.
 const MIN_SPREAD_RATIO: f64 = 0.2;
 
 /// Scale of every window that counts, in the order of time.

@@ -33,9 +33,9 @@ pub struct WrongPose {
     pub degrees: f64,
 }
 
-/// The poses that are wrong when positions and orientations are aligned together, each in units of what is
-/// allowed; all of them where they determine no alignment. (By positions alone, the angle around a nearly straight path
-/// rests on their errors.)
+/// The poses that are wrong when positions and orientations are aligned together, each in units of
+/// what is allowed; all of them where they determine no alignment. (By positions alone, the angle
+/// around a nearly straight path rests on their errors.)
 pub(super) fn wrong_poses(
     pairs: &[PosePair],
     alignment: TrajectoryAlignment,
@@ -66,7 +66,8 @@ mod tests {
     use super::*;
     use monogrid_geometry::{Se3, Vec3, Vec6};
 
-    /// A straight path of 10 m that sways by 3 cm, measured with an error of 5 cm that sways with it.
+    /// A straight path of 10 m that sways by 3 cm, measured with an error of 5 cm that sways with
+    /// it.
     fn pairs() -> Vec<PosePair> {
         (0..100)
             .map(|k| {

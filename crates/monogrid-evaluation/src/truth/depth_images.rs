@@ -11,7 +11,8 @@ use monogrid_occupancy::VoxelKey;
 pub struct PosedDepth<'a> {
     /// The depth camera.
     pub view: View,
-    /// Depth along the optical axis, row-major, in world units; not finite or not positive: unknown.
+    /// Depth along the optical axis, row-major, in world units; not finite or not positive:
+    /// unknown.
     pub depth: &'a [f32],
 }
 
@@ -37,8 +38,9 @@ struct Votes {
 /// Every image votes once per cell: occupied when one of its rays ends in the cell, else free when
 /// one passes it. Real depth is noisy, so this is only as true as the depth and the poses are.
 ///
-/// `resolution` is the edge of a cell, world units. Depth beyond `max_depth` (world units) is ignored: a truth that ends before the
-/// surfaces do makes everything behind it unknown. (A Kinect's noise passes 3 cm at 4 m.)
+/// `resolution` is the edge of a cell, world units. Depth beyond `max_depth` (world units) is
+/// ignored: a truth that ends before the surfaces do makes everything behind it unknown. (A
+/// Kinect's noise passes 3 cm at 4 m.)
 ///
 /// # Errors
 /// An image of another size than stated, no usable depth, or a box of too many cells.

@@ -13,9 +13,9 @@ pub(crate) struct FillOutcome {
 
 /// Fills the unknown cells that are 6-connected to a seed.
 ///
-/// Holes up to `2 * hole_cells` wide are closed for the fill: surfaces are thickened by a cube of that
-/// many cells, and what was filled is thickened by the same cube afterwards. No cell of the filled
-/// space is within `hole_cells` of a surface, so the second step cannot cross one.
+/// Holes up to `2 * hole_cells` wide are closed for the fill: surfaces are thickened by a cube of
+/// that many cells, and what was filled is thickened by the same cube afterwards. No cell of the
+/// filled space is within `hole_cells` of a surface, so the second step cannot cross one.
 pub(crate) fn fill_free(
     grid: &mut TruthGrid,
     seeds: &[[i32; 3]],
@@ -43,7 +43,8 @@ pub(crate) fn fill_free(
 
 fn thicken_surfaces(grid: &mut TruthGrid, radius: usize) {
     let size = grid.size();
-    // layer by layer: what is closed meanwhile is no surface, so that it makes no difference when it is looked at
+    // layer by layer: what is closed meanwhile is no surface, so that it makes no difference when
+    // it is looked at
     for z in 0..size[2] {
         let surface: Vec<[usize; 3]> = grid.layer_with(z, OCCUPIED).collect();
         for cell in surface {
@@ -58,7 +59,8 @@ fn thicken_surfaces(grid: &mut TruthGrid, radius: usize) {
 
 fn thicken_free_space(grid: &mut TruthGrid, radius: usize) {
     let size = grid.size();
-    // of each closed cell in their order, before any is changed: one that becomes free must not free the next
+    // of each closed cell in their order, before any is changed: one that becomes free must not
+    // free the next
     let freed: Vec<bool> = grid
         .cells_with(CLOSED)
         .map(|cell| cube(cell, radius, size).any(|n| grid.code(n) == FREE))

@@ -177,8 +177,8 @@ impl TruthGrid {
         self.cells_with(wanted).map(|cell| self.global(cell))
     }
 
-    /// The grid of cells `factor` times as large, aligned to multiples of their edge: occupied where
-    /// any cell is, else free where any is.
+    /// The grid of cells `factor` times as large, aligned to multiples of their edge: occupied
+    /// where any cell is, else free where any is.
     ///
     /// # Errors
     /// A factor of zero.
@@ -200,7 +200,8 @@ impl TruthGrid {
         Ok(coarse)
     }
 
-    /// The truth with cells as large as those of `map`, where a whole number of its own makes one; else as it is.
+    /// The truth with cells as large as those of `map`, where a whole number of its own makes one;
+    /// else as it is.
     ///
     /// # Errors
     /// A truth that is too large.

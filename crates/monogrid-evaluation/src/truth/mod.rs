@@ -1,8 +1,8 @@
 //! Ground-truth maps: what is occupied, free and unknown in a world whose surface is known.
 //!
-//! Flow: surface → **voxelise** (exact) → **fill** free space from the camera's path → coarser grids
-//! by [`TruthGrid::coarsened`], so that all resolutions agree. Posed depth images have no closed
-//! surface: there, free is what their rays cross ([`truth_from_depth_images`]).
+//! Flow: surface → **voxelise** (exact) → **fill** free space from the camera's path → coarser
+//! grids by [`TruthGrid::coarsened`], so that all resolutions agree. Posed depth images have no
+//! closed surface: there, free is what their rays cross ([`truth_from_depth_images`]).
 
 mod depth_images;
 mod fill;
@@ -21,7 +21,8 @@ use grid::OCCUPIED;
 /// Settings of [`truth_from_triangles`] and [`truth_from_points`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TruthConfig {
-    /// Edge of a cell, in units of the surface. Build the finest that is needed and derive the rest.
+    /// Edge of a cell, in units of the surface. Build the finest that is needed and derive the
+    /// rest.
     pub resolution: f64,
     /// Holes of the surface up to twice this many cells wide are closed while free space is filled;
     /// gaps that narrow become unknown. Default 1.
@@ -133,9 +134,9 @@ pub struct Truth {
 /// folded.
 const CELLS_PER_SURFACE_CELL: u64 = 8;
 
-/// Ground truth of a surface made of triangles: occupied where a triangle touches a cell, free where
-/// a camera could have flown, else unknown. `cameras` are positions of the camera, all in the frame
-/// and unit of the surface.
+/// Ground truth of a surface made of triangles: occupied where a triangle touches a cell, free
+/// where a camera could have flown, else unknown. `cameras` are positions of the camera, all in the
+/// frame and unit of the surface.
 ///
 /// # Errors
 /// No triangle, one that is not finite, a box of too many cells, triangles that touch far more, or

@@ -25,8 +25,8 @@ const RAY_SPACING_CELLS: f64 = 0.7;
 /// ray): rays spread over each image run until they meet an occupied cell, which is seen too.
 ///
 /// The result has the box of `truth`; cells that nobody sees are unknown, the others as in `truth`
-/// (those whose truth is unknown as free). The cost grows with the cube of range over resolution: pass
-/// a coarsened truth and let [`crate::evaluate_map`] look up its cells in the coarser view.
+/// (those whose truth is unknown as free). The cost grows with the cube of range over resolution:
+/// pass a coarsened truth and let [`crate::evaluate_map`] look up its cells in the coarser view.
 #[must_use]
 pub fn cells_in_view(truth: &TruthGrid, views: &[View], max_range: f64) -> TruthGrid {
     let mut seen = truth.clone();

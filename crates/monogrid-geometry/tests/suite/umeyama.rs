@@ -1,4 +1,5 @@
-//! Similarity alignment: exact on exact data, no better neighbour on noisy data, honest on bad data.
+//! Similarity alignment: exact on exact data, no better neighbour on noisy data, honest on bad
+//! data.
 
 use crate::common::{Random, matrix4, sim3_examples};
 use monogrid_geometry::{AlignmentError, Sim3, Vec3, Vec7, align_similarity};

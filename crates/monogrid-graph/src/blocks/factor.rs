@@ -52,8 +52,8 @@ impl<const B: usize> BlockPattern<B> {
         self.place.iter().map(block).collect()
     }
 
-    /// Solves for a right-hand side of a few blocks, each times the identity, and returns the blocks of
-    /// the solution that `wanted` names.
+    /// Solves for a right-hand side of a few blocks, each times the identity, and returns the
+    /// blocks of the solution that `wanted` names.
     pub(crate) fn solve_blocks(
         &self,
         factor: &Factor<B>,
@@ -102,7 +102,8 @@ fn subtract_product<const B: usize>(c: &mut Block<B>, a: &Block<B>, b: &Block<B>
     }
 }
 
-/// The lower triangle `l` of a block `l l'` in its place, with zeros above; `None` when not positive definite.
+/// The lower triangle `l` of a block `l l'` in its place, with zeros above; `None` when not
+/// positive definite.
 fn factorise_block<const B: usize>(block: &mut Block<B>) -> Option<()> {
     for k in 0..B {
         let pivot = block[k][k].sqrt();

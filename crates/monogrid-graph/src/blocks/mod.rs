@@ -1,8 +1,10 @@
-//! Symmetric positive definite matrices of square blocks (seven rows for similarities, six for poses), and their Cholesky factors.
+//! Symmetric positive definite matrices of square blocks (seven rows for similarities, six for
+//! poses), and their Cholesky factors.
 //!
-//! A [`BlockPattern`] says which blocks there are and in which order they are eliminated; it depends on the edges alone and is used
-//! for every factorisation. A matrix has room for the blocks that its factor fills. Every sum is taken in one order and without
-//! fused multiplications, so that all machines find the same.
+//! A [`BlockPattern`] says which blocks there are and in which order they are eliminated; it
+//! depends on the edges alone and is used for every factorisation. A matrix has room for the blocks
+//! that its factor fills. Every sum is taken in one order and without fused multiplications, so
+//! that all machines find the same.
 
 mod factor;
 mod order;
@@ -11,7 +13,8 @@ use nalgebra::{DMatrix, SMatrix, SVector};
 use order::Elimination;
 use std::ops::Range;
 
-/// Rows of a block with those that make a column two or four registers wide; what is beyond the block is zero.
+/// Rows of a block with those that make a column two or four registers wide; what is beyond the
+/// block is zero.
 const PADDED: usize = 8;
 
 /// A block of `B` columns.
@@ -26,7 +29,8 @@ pub(crate) struct BlockPattern<const B: usize = 7> {
     starts: Vec<usize>,
     /// Places of their rows, ascending in each column.
     rows: Vec<usize>,
-    /// By place: the blocks of that row left of the diagonal, as (column, number of the block), by column.
+    /// By place: the blocks of that row left of the diagonal, as (column, number of the block), by
+    /// column.
     in_row: Vec<Vec<(usize, usize)>>,
 }
 
@@ -122,7 +126,8 @@ impl<const B: usize> BlockPattern<B> {
         self.place[block]
     }
 
-    /// The columns of a matrix in so many parts, of about as many blocks each; every block is in one of them.
+    /// The columns of a matrix in so many parts, of about as many blocks each; every block is in
+    /// one of them.
     pub(crate) fn parts<'a>(
         &'a self,
         matrix: &'a mut BlockMatrix<B>,

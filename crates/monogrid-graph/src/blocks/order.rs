@@ -6,13 +6,15 @@ use std::collections::BTreeSet;
 pub(super) struct Elimination {
     /// Blocks, the first to be eliminated first.
     pub order: Vec<usize>,
-    /// For each of them the blocks eliminated after it that its column of the factor has, in ascending order of their numbers.
+    /// For each of them the blocks eliminated after it that its column of the factor has, in
+    /// ascending order of their numbers.
     pub columns: Vec<Vec<usize>>,
 }
 
 impl Elimination {
-    /// Minimum degree: next comes the block that is tied to the fewest of those that are left (of equal ones the first), which its
-    /// elimination ties to each other. `pairs` are ties, in any order, repeated or not.
+    /// Minimum degree: next comes the block that is tied to the fewest of those that are left (of
+    /// equal ones the first), which its elimination ties to each other. `pairs` are ties, in any
+    /// order, repeated or not.
     pub(super) fn of(blocks: usize, pairs: &[(usize, usize)]) -> Self {
         let mut tied = vec![Vec::new(); blocks];
         for &(a, b) in pairs.iter().filter(|(a, b)| a != b) {

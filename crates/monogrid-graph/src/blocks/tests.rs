@@ -6,7 +6,8 @@ fn number(k: usize) -> f64 {
     (k as f64 * 12.9898 + 0.3).sin()
 }
 
-/// A positive definite matrix of `blocks` blocks with blocks at `pairs`, and the same in another form.
+/// A positive definite matrix of `blocks` blocks with blocks at `pairs`, and the same in another
+/// form.
 fn matrix<const B: usize>(
     blocks: usize,
     pairs: &[(usize, usize)],

@@ -5,11 +5,12 @@ use nalgebra::Matrix2;
 
 /// How observations look where their points are projected; who knows images implements it.
 ///
-/// Both functions take the index of an observation in [`super::BundleProblem::observations`] and the pixel to which its point is
-/// projected, and must agree: a step is taken by the derivatives and kept when the cost falls. Threads call them at the same time.
+/// Both functions take the index of an observation in [`super::BundleProblem::observations`] and
+/// the pixel to which its point is projected, and must agree: a step is taken by the derivatives
+/// and kept when the cost falls. Threads call them at the same time.
 pub trait Appearance: std::fmt::Debug + Sync {
-    /// What it costs that the point of an observation is at a pixel, as half a squared error in standard deviations; 0 where nothing is
-    /// known of it.
+    /// What it costs that the point of an observation is at a pixel, as half a squared error in
+    /// standard deviations; 0 where nothing is known of it.
     fn cost(&self, observation: usize, pixel: &Vec2) -> f64;
 
     /// Its derivatives by the pixel; `None` where it does not change.
@@ -35,7 +36,8 @@ mod tests {
     };
     use monogrid_geometry::{Pinhole, Se3, Vec6};
 
-    /// Edges: each observation says where its point is across one direction only, the more softly the farther.
+    /// Edges: each observation says where its point is across one direction only, the more softly
+    /// the farther.
     #[derive(Debug)]
     struct Edges(Vec<(Vec2, Vec2)>);
 

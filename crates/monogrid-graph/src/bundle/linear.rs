@@ -62,7 +62,8 @@ struct Sums {
     b_points: Vec<f64>,
     first_entry: usize,
     fans: Vec<Vec6>,
-    /// Of every pair, as seen by the observer's pose: second derivatives (their lower triangle) and negative gradient.
+    /// Of every pair, as seen by the observer's pose: second derivatives (their lower triangle) and
+    /// negative gradient.
     per_pair: Vec<(Mat6, Vec6)>,
 }
 
@@ -145,7 +146,8 @@ impl<'a> Window<'a> {
             .map(|r| r.norm_squared() * weight * weight)
     }
 
-    /// What images say against observation `i`; nothing of a point that is not in front of the camera, which costs most anyway.
+    /// What images say against observation `i`; nothing of a point that is not in front of the
+    /// camera, which costs most anyway.
     fn look(&self, i: usize, relatives: &[Relative], state: &State) -> f64 {
         let Some(appearance) = self.appearance else {
             return 0.0;
@@ -158,7 +160,8 @@ impl<'a> Window<'a> {
         seen.map_or(0.0, |pixel| appearance.cost(i, &pixel))
     }
 
-    /// Robust cost of the observations for which `includes` is true, and of the priors of all points.
+    /// Robust cost of the observations for which `includes` is true, and of the priors of all
+    /// points.
     pub(super) fn cost(&self, state: &State, includes: &[bool]) -> f64 {
         let relatives = self.relatives(state);
         let shares = &self.layout.shares;

@@ -1,20 +1,22 @@
 //! Bundle adjustment of a window of keyframes on reprojection errors.
 //!
-//! In: keyframe poses (`camera_from_world`), a pinhole camera, points anchored in a *host* keyframe by
-//! their pixel there and an inverse depth, and the pixels at which other keyframes see them. Out: the
-//! refined poses and inverse depths, the squared error of every observation, and on demand variances.
+//! In: keyframe poses (`camera_from_world`), a pinhole camera, points anchored in a *host* keyframe
+//! by their pixel there and an inverse depth, and the pixels at which other keyframes see them.
+//! Out: the refined poses and inverse depths, the squared error of every observation, and on demand
+//! variances.
 //!
 //! * A point has one unknown, its inverse depth; its direction in the host is taken as exact, so an
 //!   observation by the host itself says nothing and is ignored.
-//! * Points are eliminated (Schur complement), the reduced camera system is dense: meant for windows
-//!   and maps of up to some hundred free keyframes, with any number of fixed ones around them.
+//! * Points are eliminated (Schur complement), the reduced camera system is dense: meant for
+//!   windows and maps of up to some hundred free keyframes, with any number of fixed ones around
+//!   them.
 //! * Levenberg-Marquardt that accepts a step only when the true robust cost falls.
 //! * Gauge: fix poses ([`PoseFreedom::Fixed`]); to hold the scale with a single fixed pose, keep
-//!   another one at its distance ([`PoseFreedom::FixedDistance`]). Without either, the damping holds
-//!   what the data leave open, and variances are refused.
+//!   another one at its distance ([`PoseFreedom::FixedDistance`]). Without either, the damping
+//!   holds what the data leave open, and variances are refused.
 //!
-//! Reference: Triggs et al., *Bundle Adjustment: A Modern Synthesis*, 2000, section 6; inverse depth
-//! after Civera et al., 2008.
+//! Reference: Triggs et al., *Bundle Adjustment: A Modern Synthesis*, 2000, section 6; inverse
+//! depth after Civera et al., 2008.
 
 mod appearance;
 mod linear;
@@ -114,8 +116,8 @@ pub struct BundleConfig {
     pub min_relative_decrease: f64,
     /// Squared error in standard deviations up to which an observation is an inlier. Default 5.99.
     pub inlier_chi2: f64,
-    /// How often the observations that are not inliers are dropped (and those that have become inliers
-    /// taken back) before optimising again. Default 1.
+    /// How often the observations that are not inliers are dropped (and those that have become
+    /// inliers taken back) before optimising again. Default 1.
     pub rejection_rounds: usize,
     /// Damping at the start, as a share of the diagonal. Default 1e-5.
     pub initial_damping: f64,
@@ -249,8 +251,8 @@ pub enum BundleError {
     },
 }
 
-/// Adjusts a window. Cost per iteration: linear in the observations, quadratic per point in the number
-/// of keyframes that see it, cubic in the free keyframes.
+/// Adjusts a window. Cost per iteration: linear in the observations, quadratic per point in the
+/// number of keyframes that see it, cubic in the free keyframes.
 ///
 /// # Errors
 /// When an index or a value of the problem or the configuration is invalid. A problem that does not
@@ -263,8 +265,8 @@ pub fn adjust(
     Ok(solver::solve(problem, None, config))
 }
 
-/// Adjusts a window to the pixels at which points were found and to how images look where the points are projected, together: the cost
-/// is that of [`adjust`] plus that of `appearance`.
+/// Adjusts a window to the pixels at which points were found and to how images look where the
+/// points are projected, together: the cost is that of [`adjust`] plus that of `appearance`.
 ///
 /// # Errors
 /// As [`adjust`].

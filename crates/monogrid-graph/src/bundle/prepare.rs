@@ -160,8 +160,8 @@ fn validate_keyframes(problem: &BundleProblem) -> Result<(), BundleError> {
 /// Marks an anchor observation in [`Layout::pair_of_observation`].
 pub(super) const NO_PAIR: u32 = u32::MAX;
 
-/// How the parts of a problem hang together; computed once. Lists as long as the observations are narrow: those of a long run are
-/// hundreds of thousands.
+/// How the parts of a problem hang together; computed once. Lists as long as the observations are
+/// narrow: those of a long run are hundreds of thousands.
 #[derive(Debug)]
 pub(super) struct Layout {
     /// Per keyframe its place among the free ones.

@@ -1,4 +1,5 @@
-//! Points with their observations in shares that threads take: the same shares, and sums in the same order, with any number of threads.
+//! Points with their observations in shares that threads take: the same shares, and sums in the
+//! same order, with any number of threads.
 
 use super::BundleProblem;
 use rayon::prelude::*;

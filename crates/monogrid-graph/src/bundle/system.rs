@@ -24,7 +24,8 @@ pub(super) fn pattern(entries: &[(u32, u32)], num_slots: usize) -> BlockPattern<
     BlockPattern::new(n, &pairs)
 }
 
-/// Removes the direction `u` (unit) of one pose: its step becomes zero. `S <- P S P + scale u u'`, with `P = I - u u'`.
+/// Removes the direction `u` (unit) of one pose: its step becomes zero. `S <- P S P + scale u u'`,
+/// with `P = I - u u'`.
 fn hold(pattern: &BlockPattern<6>, s: &mut BlockMatrix<6>, slot: usize, u: &Vec6) {
     let across = Mat6::identity() - u * u.transpose();
     for other in 0..pattern.num_blocks() {
@@ -73,8 +74,8 @@ pub(super) fn reduce(
     (s, b)
 }
 
-/// Subtracts what the unknown inverse depths of the points take away: of the matrix in parts, each by one thread and in the order of
-/// the points.
+/// Subtracts what the unknown inverse depths of the points take away: of the matrix in parts, each
+/// by one thread and in the order of the points.
 fn eliminate(
     window: &Window,
     normal: &Normal,

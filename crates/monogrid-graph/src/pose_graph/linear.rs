@@ -93,7 +93,8 @@ impl<'a> Terms<'a> {
         }
     }
 
-    /// How many times wider bounded kernels must be for every new edge to be in their quadratic part.
+    /// How many times wider bounded kernels must be for every new edge to be in their quadratic
+    /// part.
     pub(super) fn quadratic_width(&self, poses: &[Sim3]) -> f64 {
         let mut width = 1.0_f64;
         for (edge, e) in self.edges.iter().enumerate() {
@@ -123,8 +124,8 @@ impl<'a> Terms<'a> {
         (0..self.edges.len()).any(is_off)
     }
 
-    /// Normal equations `H x = b` at `poses`, of which `residuals` are known; `slot` gives each node's place
-    /// among the free ones.
+    /// Normal equations `H x = b` at `poses`, of which `residuals` are known; `slot` gives each
+    /// node's place among the free ones.
     pub(super) fn linearise(
         &self,
         poses: &[Sim3],
@@ -179,8 +180,8 @@ impl<'a> Terms<'a> {
     }
 }
 
-/// What an edge adds to the normal equations of node `j`, block and gradient; node `i` has the same block and the negative
-/// gradient.
+/// What an edge adds to the normal equations of node `j`, block and gradient; node `i` has the same
+/// block and the negative gradient.
 fn normal_terms(
     residual: &Residual,
     adjoint: &Mat7,

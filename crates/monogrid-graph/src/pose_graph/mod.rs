@@ -7,20 +7,20 @@
 //! 1/2 sum rho(r' W r),   r = log(T_i^-1 T_j M_ij^-1)
 //! ```
 //!
-//! * Tangents are `[v, w, s]`, updates on the left; `W` is the inverse covariance of a left update of
-//!   `i_from_j`, in the units of keyframe `i`.
+//! * Tangents are `[v, w, s]`, updates on the left; `W` is the inverse covariance of a left update
+//!   of `i_from_j`, in the units of keyframe `i`.
 //! * Derivatives are exact: `dr/dT_j = J_l^-1(r) Ad(T_i^-1) = -dr/dT_i`.
 //! * Gauge: nodes marked fixed; in every connected part without one, its first node is held.
 //! * Scale cannot collapse: it is a logarithm, residuals are in keyframe units, implausible scale
 //!   ratios are refused on entry, and no single step may change a scale by more than a factor two.
 //! * Wrong edges: bounded kernels ([`crate::RobustKernel::DynamicCovariance`]) are graduated, from
-//!   nearly quadratic to their own shape (Yang et al., *Graduated Non-Convexity*, RA-L 2020), so that
-//!   right edges with a large initial error are not switched off. Only edges added since the last
-//!   optimisation are graduated: a closure into a graph at rest costs a few steps. Give edges that must
-//!   not tear, such as odometry, an unbounded kernel.
+//!   nearly quadratic to their own shape (Yang et al., *Graduated Non-Convexity*, RA-L 2020), so
+//!   that right edges with a large initial error are not switched off. Only edges added since the
+//!   last optimisation are graduated: a closure into a graph at rest costs a few steps. Give edges
+//!   that must not tear, such as odometry, an unbounded kernel.
 //!
-//! References: Strasdat et al., *Scale Drift-Aware Large Scale Monocular SLAM*, RSS 2010; Agarwal et
-//! al., *Robust Map Optimization using Dynamic Covariance Scaling*, ICRA 2013.
+//! References: Strasdat et al., *Scale Drift-Aware Large Scale Monocular SLAM*, RSS 2010; Agarwal
+//! et al., *Robust Map Optimization using Dynamic Covariance Scaling*, ICRA 2013.
 
 mod linear;
 mod solver;
@@ -72,9 +72,9 @@ pub struct PoseGraphConfig {
     pub graduation: Option<f64>,
     /// Accepted steps at most in each stage before the last. Default 2.
     pub iterations_per_stage: usize,
-    /// Further descents, by other ways, when the first one switched off edges of a graph that is largely
-    /// new; the one with the least cost wins. Of 1000 random graphs with a tenth of all edges wrong, 20
-    /// need them. Default 3.
+    /// Further descents, by other ways, when the first one switched off edges of a graph that is
+    /// largely new; the one with the least cost wins. Of 1000 random graphs with a tenth of all
+    /// edges wrong, 20 need them. Default 3.
     pub second_opinions: usize,
 }
 
@@ -197,7 +197,8 @@ pub enum PoseGraphError {
     Singular,
 }
 
-/// A graph of keyframes. Order of insertion decides every order inside: equal calls give equal bits.
+/// A graph of keyframes. Order of insertion decides every order inside: equal calls give equal
+/// bits.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PoseGraph {
     nodes: Vec<GraphNode>,
@@ -262,8 +263,8 @@ impl PoseGraph {
         Ok(())
     }
 
-    /// Adds a measurement that an earlier optimisation of the same graph has judged: its kernel is used as it
-    /// is.
+    /// Adds a measurement that an earlier optimisation of the same graph has judged: its kernel is
+    /// used as it is.
     ///
     /// # Errors
     /// As [`PoseGraph::add_edge`].
@@ -341,9 +342,9 @@ impl PoseGraph {
         linear::Terms::new(self).cost(&self.poses(), 1.0)
     }
 
-    /// Per node, in the order of insertion, by how much the cost would fall to first order if it alone could move, fixed
-    /// or not: a fixed node with much strain is where the others would push it. Zero where the edges of a node do not
-    /// determine it.
+    /// Per node, in the order of insertion, by how much the cost would fall to first order if it
+    /// alone could move, fixed or not: a fixed node with much strain is where the others would push
+    /// it. Zero where the edges of a node do not determine it.
     #[must_use]
     pub fn strains(&self) -> Vec<f64> {
         linear::Terms::new(self).strains(&self.poses())

@@ -69,8 +69,8 @@ fn validate(config: &PoseGraphConfig) -> Result<(), PoseGraphError> {
     Ok(())
 }
 
-/// Per node its place among those that may move. In every part that edges connect and that has no fixed
-/// node, the first node is held.
+/// Per node its place among those that may move. In every part that edges connect and that has no
+/// fixed node, the first node is held.
 pub(super) fn free_slots(graph: &PoseGraph) -> Vec<Option<usize>> {
     let mut part: Vec<usize> = (0..graph.nodes.len()).collect();
     let terms = Terms::new(graph);
@@ -156,8 +156,8 @@ impl Problem<'_> {
         Ok((best, outcome))
     }
 
-    /// Descends with ever narrower kernels (Graduated Non-Convexity), then with their own; an infinite
-    /// factor begins with those.
+    /// Descends with ever narrower kernels (Graduated Non-Convexity), then with their own; an
+    /// infinite factor begins with those.
     fn graduate(
         &self,
         start: &[Sim3],

@@ -7,8 +7,8 @@ use crate::blocks::{BlockPattern, Factor};
 use monogrid_geometry::{Mat7, Sim3};
 use std::collections::BTreeMap;
 
-/// Uncertainty of a graph at the poses it had when this was made, given the nodes that are held and the
-/// weights that the robust kernels leave the edges.
+/// Uncertainty of a graph at the poses it had when this was made, given the nodes that are held and
+/// the weights that the robust kernels leave the edges.
 ///
 /// It is as honest as the information matrices of the edges.
 pub struct GraphUncertainty {
@@ -47,8 +47,9 @@ impl GraphUncertainty {
         })
     }
 
-    /// Covariance of a left update `[v, w, s]` of `i_from_j`, in the units of keyframe `i`: what is not
-    /// known about one keyframe as seen from another. This, not the absolute covariance, blurs a map.
+    /// Covariance of a left update `[v, w, s]` of `i_from_j`, in the units of keyframe `i`: what is
+    /// not known about one keyframe as seen from another. This, not the absolute covariance, blurs
+    /// a map.
     ///
     /// # Errors
     /// When a keyframe is unknown.

@@ -379,7 +379,8 @@ fn bad_input_is_named() {
     );
 }
 
-/// Images in which each point lies on an edge: they say where it is across one direction, and nothing beyond three pixels.
+/// Images in which each point lies on an edge: they say where it is across one direction, and
+/// nothing beyond three pixels.
 #[derive(Debug)]
 struct Edges {
     /// Per observation a place on the edge and a direction across it, 1 / standard deviations.

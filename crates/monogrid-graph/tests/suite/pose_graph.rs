@@ -1,4 +1,5 @@
-//! The pose graph against truth, against a dense solver with numeric derivatives, and against itself.
+//! The pose graph against truth, against a dense solver with numeric derivatives, and against
+//! itself.
 
 #![allow(
     clippy::unwrap_used,

@@ -1,7 +1,7 @@
 //! Vectors of 256 bits.
 //!
-//! Every function here has to become part of one that is compiled for AVX2, as [`for_lanes`](crate::for_lanes) sees to: on its own it
-//! is a call for each operation.
+//! Every function here has to become part of one that is compiled for AVX2, as
+//! [`for_lanes`](crate::for_lanes) sees to: on its own it is a call for each operation.
 #![allow(
     unsafe_code,
     reason = "instructions that not every processor has: there are no values of these types without them"
@@ -24,7 +24,8 @@ impl Avx2 {
     }
 }
 
-/// Eight numbers in single precision. They come from [`Avx2`] only, so the processor has what works on them.
+/// Eight numbers in single precision. They come from [`Avx2`] only, so the processor has what works
+/// on them.
 #[derive(Clone, Copy, Debug)]
 pub struct Floats(__m256);
 

@@ -47,7 +47,8 @@ impl Grey for u16 {
 }
 
 impl Grey for u8 {
-    /// Upper and lower pair, each as one number: to convert each byte alone costs more than all the rest.
+    /// Upper and lower pair, each as one number: to convert each byte alone costs more than all the
+    /// rest.
     type Cell = [i32; 2];
 
     #[inline(always)]
@@ -78,7 +79,8 @@ fn corners_of_pairs<const BITS: i32, L: Lanes>(lanes: L, cells: [[i32; 2]; 8]) -
 
 /// The image at the first `N` of eight places `(x, y)`, px, bilinear.
 ///
-/// The caller keeps them inside: each has a pixel to its right and one below. Others panic, or give values of other pixels.
+/// The caller keeps them inside: each has a pixel to its right and one below. Others panic, or give
+/// values of other pixels.
 #[inline(always)]
 pub fn bilinear<const N: usize, T: Grey, L: Lanes>(
     lanes: L,

@@ -1,8 +1,10 @@
 //! Eight numbers side by side, on vectors as wide as the processor has them.
 //!
-//! A loop is written once, over [`Lanes`], and compiled twice by [`for_lanes`](crate::for_lanes): for what every processor of the target
-//! has ([`Baseline`]) and for AVX2. Both give the same bits: the operations are those of IEEE in the order in which they are written,
-//! and none are joined. There is none for AVX-512: a whole program that is compiled for it takes as long as one for AVX2.
+//! A loop is written once, over [`Lanes`], and compiled twice by [`for_lanes`](crate::for_lanes):
+//! for what every processor of the target has ([`Baseline`]) and for AVX2. Both give the same bits:
+//! the operations are those of IEEE in the order in which they are written, and none are joined.
+//! There is none for AVX-512: a whole program that is compiled for it takes as long as one for
+//! AVX2.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
@@ -25,7 +27,8 @@ pub trait Lanes: Copy + Debug {
     /// Eight whole numbers of 32 bits.
     type I32: I32x8<F32 = Self::F32>;
 
-    /// Eight numbers. By reference: reading an array that was copied just before waits for the copy.
+    /// Eight numbers. By reference: reading an array that was copied just before waits for the
+    /// copy.
     fn f32s(self, values: &[f32; 8]) -> Self::F32;
     /// Eight whole numbers.
     fn i32s(self, values: &[i32; 8]) -> Self::I32;
@@ -39,7 +42,8 @@ pub trait Lanes: Copy + Debug {
     }
 }
 
-/// Eight numbers in single precision. Masks are such numbers too, with all bits of a lane set or none.
+/// Eight numbers in single precision. Masks are such numbers too, with all bits of a lane set or
+/// none.
 pub trait F32x8:
     Copy
     + Debug
@@ -68,7 +72,8 @@ pub trait F32x8:
     fn lt(self, other: Self) -> Self;
     /// Where they are at most as great.
     fn le(self, other: Self) -> Self;
-    /// The lesser ones. Where one is no number, or both are zeros: the other ones on x86, not specified elsewhere.
+    /// The lesser ones. Where one is no number, or both are zeros: the other ones on x86, not
+    /// specified elsewhere.
     fn min(self, other: Self) -> Self;
     /// The greater ones, likewise.
     fn max(self, other: Self) -> Self;
@@ -202,9 +207,11 @@ impl I32x8 for i32x8 {
     }
 }
 
-/// Defines functions that run others on the widest vectors of the processor: `fn name = other, (argument: Type, ...) -> Returned;`. The
-/// other one takes [`Lanes`](crate::lanes::Lanes) before these arguments, is generic over them, and `#[inline(always)]`, as all that it
-/// calls in loops; where the compiler makes the vectors it need not look at them.
+/// Defines functions that run others on the widest vectors of the processor:
+/// `fn name = other, (argument: Type, ...) -> Returned;`. The other one takes
+/// [`Lanes`](crate::lanes::Lanes) before these arguments, is generic over them, and
+/// `#[inline(always)]`, as all that it calls in loops; where the compiler makes the vectors it need
+/// not look at them.
 #[macro_export]
 macro_rules! for_lanes {
     ($($(#[$doc:meta])* $vis:vis fn $name:ident = $with:path, ($($argument:ident: $type:ty),* $(,)?) $(-> $returned:ty)?;)*) => {$(

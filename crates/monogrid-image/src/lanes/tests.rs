@@ -96,7 +96,8 @@ fn all_vectors_give_the_same_bits() {
         }
         assert_eq!(on_the_widest(a, b), all_operations(Baseline, a, b));
     }
-    // what is no number has no bits that are promised after arithmetic: where one of two is none, it is the one that stays
+    // what is no number has no bits that are promised after arithmetic: where one of two is none,
+    // it is the one that stays
     let (none, far) = (f32::NAN, f32::INFINITY);
     let odd = [none, -0.0, 0.0, far, -far, 3e9, -70000.0, 1e-40];
     for shift in 1..8 {

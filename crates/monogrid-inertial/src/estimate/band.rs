@@ -1,4 +1,5 @@
-//! Normal equations of a chain of states that share a few global numbers: block tridiagonal with a border.
+//! Normal equations of a chain of states that share a few global numbers: block tridiagonal with a
+//! border.
 
 use monogrid_geometry::nalgebra::{Cholesky, Const, DMatrix, DVector, SMatrix, SVector};
 

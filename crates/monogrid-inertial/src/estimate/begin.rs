@@ -119,7 +119,8 @@ impl Triple {
     }
 }
 
-/// Metres per unit of a part: what was seen is regressed on what was measured, whose errors are small.
+/// Metres per unit of a part: what was seen is regressed on what was measured, whose errors are
+/// small.
 fn unit_of(triples: &[Triple], down: &Vec3) -> Result<f64, NotDetermined> {
     let sums = triples.iter().map(|triple| {
         let expected = triple.expected(down);
@@ -173,7 +174,8 @@ fn seen_frames(problem: &Problem, part: usize, metric_from_part: &Sim3) -> Vec<O
     frames
 }
 
-/// Where a part lies that nothing seen connects with the frames before it: where the readings lead, with its own unit.
+/// Where a part lies that nothing seen connects with the frames before it: where the readings lead,
+/// with its own unit.
 fn place_of(
     problem: &Problem,
     imu: &Imu,

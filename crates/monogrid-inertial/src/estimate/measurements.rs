@@ -1,4 +1,5 @@
-//! Residuals and their derivatives: what is known at first, what the camera saw, and what the sensor measured between frames.
+//! Residuals and their derivatives: what is known at first, what the camera saw, and what the
+//! sensor measured between frames.
 
 use super::band::{Block, Column, STATE, System};
 use super::problem::{
@@ -35,7 +36,8 @@ impl Problem {
         }
     }
 
-    /// The pose of the camera as it was seen: its orientation, and its position in the unit of its part.
+    /// The pose of the camera as it was seen: its orientation, and its position in the unit of its
+    /// part.
     pub(super) fn add_view(
         &self,
         sum: &mut Sum,
@@ -94,7 +96,8 @@ impl Problem {
         sum.add_one(k, &state, &globals, &weighted, &residual);
     }
 
-    /// What the sensor measured between a frame and the next one (Forster et al. 2017, equation 45), and the walk of its biases.
+    /// What the sensor measured between a frame and the next one (Forster et al. 2017, equation
+    /// 45), and the walk of its biases.
     pub(super) fn add_readings(
         &self,
         sum: &mut Sum,

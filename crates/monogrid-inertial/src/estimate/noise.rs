@@ -6,8 +6,9 @@ use monogrid_geometry::median::median;
 
 /// Takes the errors of positions and orientations that the states leave.
 ///
-/// Errors of frames in a row are alike, as they share a keyframe; as white noise of the same power at the low frequencies that
-/// matter they are larger by the root of (1 + r) / (1 - r), with r the correlation of neighbours.
+/// Errors of frames in a row are alike, as they share a keyframe; as white noise of the same power
+/// at the low frequencies that matter they are larger by the root of (1 + r) / (1 - r), with r the
+/// correlation of neighbours.
 pub(super) fn update(problem: &mut Problem, states: &States) {
     let errors: Vec<(Vec3, Vec3)> = (0..problem.observations.len())
         .filter_map(|k| {
@@ -26,7 +27,8 @@ pub(super) fn update(problem: &mut Problem, states: &States) {
 /// What orientations are known to at best, rad.
 const LEAST_ROTATION_SIGMA: f64 = 1e-4;
 
-/// Standard deviation per axis of white noise with the same low frequencies. Errors far beyond the others do not count.
+/// Standard deviation per axis of white noise with the same low frequencies. Errors far beyond the
+/// others do not count.
 fn effective_sigma(errors: &[Vec3]) -> f64 {
     let mut squares: Vec<f64> = errors.iter().map(Vec3::norm_squared).collect();
     let median = median(&mut squares).unwrap_or(0.0);

@@ -1,8 +1,9 @@
 //! How much the answer depends on which stretch of the path is looked at.
 //!
-//! Errors of a path that was tracked are not white: it bends, and its scale changes by a percent from one keyframe to another. What the
-//! normal equations say of the uncertainty is then too little. A delete-a-group jackknife (Efron and Tibshirani 1993, chapter 11) leaves out
-//! one stretch after the other and looks at what that changes.
+//! Errors of a path that was tracked are not white: it bends, and its scale changes by a percent
+//! from one keyframe to another. What the normal equations say of the uncertainty is then too
+//! little. A delete-a-group jackknife (Efron and Tibshirani 1993, chapter 11) leaves out one
+//! stretch after the other and looks at what that changes.
 
 use super::Observation;
 use super::problem::{Problem, States};

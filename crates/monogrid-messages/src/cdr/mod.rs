@@ -1,10 +1,12 @@
-//! Plain CDR, version 1, as ROS 2 sends and stores messages: fields one after the other, numbers aligned to their own size.
+//! Plain CDR, version 1, as ROS 2 sends and stores messages: fields one after the other, numbers
+//! aligned to their own size.
 //!
-//! The rules are those of DDSI-RTPS 2.5, clause 10, and of OMG DDS-XTypes 1.3, clause 7.4.1 (`PLAIN_CDR`): a number begins at a
-//! multiple of its size, counted from the first byte of the body; a string is its length (`u32`, with the 0 at its end) and its
-//! bytes; a sequence is the number of its elements (`u32`) and these; arrays and structs are their elements alone. The four bytes
-//! of encapsulation that stand before a body are not part of it and left to whoever reads or writes them. What ROS 1 stores differs
-//! from that in little, and is read too.
+//! The rules are those of DDSI-RTPS 2.5, clause 10, and of OMG DDS-XTypes 1.3, clause 7.4.1
+//! (`PLAIN_CDR`): a number begins at a multiple of its size, counted from the first byte of the
+//! body; a string is its length (`u32`, with the 0 at its end) and its bytes; a sequence is the
+//! number of its elements (`u32`) and these; arrays and structs are their elements alone. The four
+//! bytes of encapsulation that stand before a body are not part of it and left to whoever reads or
+//! writes them. What ROS 1 stores differs from that in little, and is read too.
 //!
 //! Only what messages of ROS are made of is known; anything else is [`CdrError::Unsupported`].
 //!

@@ -1,10 +1,12 @@
-//! Bytes into messages. What a length claims is compared with what is there before anything is done with it.
+//! Bytes into messages. What a length claims is compared with what is there before anything is done
+//! with it.
 
 use super::{ByteOrder, CdrError};
 use serde::de::{DeserializeOwned, DeserializeSeed, Deserializer, SeqAccess, Visitor};
 use std::borrow::Cow;
 
-/// The message at the beginning of a body. Bytes behind it, as some writers append them to fill up a packet, are left alone.
+/// The message at the beginning of a body. Bytes behind it, as some writers append them to fill up
+/// a packet, are left alone.
 ///
 /// # Errors
 /// What is too short or no such message, and types that messages of ROS do not have.
@@ -12,7 +14,8 @@ pub fn from_bytes<M: DeserializeOwned>(body: &[u8], order: ByteOrder) -> Result<
     read(body, order, false)
 }
 
-/// The message at the beginning of what ROS 1 stored: nothing is aligned, strings have no 0 at their end, headers begin with a number.
+/// The message at the beginning of what ROS 1 stored: nothing is aligned, strings have no 0 at
+/// their end, headers begin with a number.
 ///
 /// # Errors
 /// As of [`from_bytes`].
@@ -207,8 +210,8 @@ impl<'de> Deserializer<'de> for &mut Reader<'de> {
     }
 }
 
-/// Elements of an array or fields of a struct, as many as the type has; or those of a sequence, as many as the bytes claim, each of which must
-/// have bytes, or a few bytes could claim billions.
+/// Elements of an array or fields of a struct, as many as the type has; or those of a sequence, as
+/// many as the bytes claim, each of which must have bytes, or a few bytes could claim billions.
 struct Elements<'a, 'de> {
     reader: &'a mut Reader<'de>,
     left: usize,

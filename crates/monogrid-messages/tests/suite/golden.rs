@@ -1,4 +1,5 @@
-//! The messages on the wire are those of another program: `golden/write.py` made the files with the package `rosbags`.
+//! The messages on the wire are those of another program: `golden/write.py` made the files with the
+//! package `rosbags`.
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use monogrid_messages::builtin_interfaces::Time;
@@ -46,8 +47,8 @@ fn is_as_others_write_it<M: RosMessage + PartialEq + Debug>(message: &M) {
     }
 }
 
-/// A definition as whoever knows nothing of these messages reads it: fields (type, and how many) of each type; the message itself
-/// has no name.
+/// A definition as whoever knows nothing of these messages reads it: fields (type, and how many) of
+/// each type; the message itself has no name.
 struct Described<'a>(HashMap<&'a str, Vec<&'a str>>);
 
 impl<'a> Described<'a> {

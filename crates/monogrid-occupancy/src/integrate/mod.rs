@@ -54,17 +54,18 @@ pub struct IntegrationConfig {
     /// Behind the obstacle, evidence smaller than this (log-odds, not negative) is not written.
     /// Default 0.02.
     pub cutoff_log_odds: f32,
-    /// How many equal updates bring a cell to the log-odds that the model states, for free and for occupied; none brings it
-    /// farther, as measurements share errors. 0: the first one does, and they add up without end, as if all were independent.
-    /// Default 0 for both, for range sensors.
+    /// How many equal updates bring a cell to the log-odds that the model states, for free and for
+    /// occupied; none brings it farther, as measurements share errors. 0: the first one does, and
+    /// they add up without end, as if all were independent. Default 0 for both, for range sensors.
     pub updates_to_belief: [u8; 2],
     /// Rule `fused`: how often, beyond once, a measurement of an obstacle counts among those in the
     /// footprint of a coarse cell, 0 to 3. A coarse cell is occupied if anything in it is, and free
-    /// only if all of it is; but false measurements gain as well, and noise where cells are not larger
-    /// than it. Default 1, for range sensors.
+    /// only if all of it is; but false measurements gain as well, and noise where cells are not
+    /// larger than it. Default 1, for range sensors.
     pub obstacle_weight: u8,
-    /// Rule `fused`, automatic thickness: whether the band is as long along each line of sight as the cells that the surface passes through
-    /// there, by its slope in the image, instead of a cell's diagonal. Default false.
+    /// Rule `fused`, automatic thickness: whether the band is as long along each line of sight as
+    /// the cells that the surface passes through there, by its slope in the image, instead of a
+    /// cell's diagonal. Default false.
     pub band_by_slope: bool,
     /// What the uncertainty of an inverse depth is taken for. Default: propagated to the range.
     pub sigma_mode: SigmaMode,
@@ -139,8 +140,9 @@ impl IntegrationReport {
 ///
 /// The result does not depend on `threads`. On an error the map is as before.
 ///
-/// A map that could exceed its memory budget is packed first ([`OccupancyMap::pack`]) if an eighth of
-/// the budget or more is in bricks that are not packed; with less to gain, every scan would pack again.
+/// A map that could exceed its memory budget is packed first ([`OccupancyMap::pack`]) if an eighth
+/// of the budget or more is in bricks that are not packed; with less to gain, every scan would pack
+/// again.
 ///
 /// # Errors
 /// An invalid scan or configuration, or the memory budget could be exceeded.

@@ -39,8 +39,8 @@ fn write_points(
     out.flush().map_err(write_error)
 }
 
-/// Writes the centres of the occupied cells, with their probability and, where it is given, their colour (red, green, blue), as
-/// binary PLY.
+/// Writes the centres of the occupied cells, with their probability and, where it is given, their
+/// colour (red, green, blue), as binary PLY.
 ///
 /// # Errors
 /// Writing fails.

@@ -87,8 +87,8 @@ impl MapFormat {
     }
 }
 
-/// Reads an `.ot`, `.bt` or `.mgo` of known length by its first bytes. A file may ask for 268 MB of memory, and more the
-/// larger it is.
+/// Reads an `.ot`, `.bt` or `.mgo` of known length by its first bytes. A file may ask for 268 MB of
+/// memory, and more the larger it is.
 ///
 /// # Errors
 /// What is none of them, or damaged.

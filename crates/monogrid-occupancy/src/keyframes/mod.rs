@@ -2,10 +2,10 @@
 //! and the map always equals one built from scratch of the scans it has, in the order of their ids,
 //! bit for bit.
 //!
-//! Every brick is a function of the scans that see it, in the order of their ids. A scan newer
-//! than all others is added to the map; any other change is an [`update::Update`]: a second map in
-//! which the bricks that the changed scans see (where they were and where they are) are rebuilt from
-//! all scans that see them. Evidence is clamped when it is written, so it cannot be subtracted.
+//! Every brick is a function of the scans that see it, in the order of their ids. A scan newer than
+//! all others is added to the map; any other change is an [`update::Update`]: a second map in which
+//! the bricks that the changed scans see (where they were and where they are) are rebuilt from all
+//! scans that see them. Evidence is clamped when it is written, so it cannot be subtracted.
 //!
 //! The work of an update can be spread over steps of one scan each; until the last, the map is that
 //! of before, complete, and grows with new scans.

@@ -141,8 +141,8 @@ impl Update {
         }
     }
 
-    /// Puts the second map and the changed keyframes in the place of the first; the number of bricks
-    /// that were built anew.
+    /// Puts the second map and the changed keyframes in the place of the first; the number of
+    /// bricks that were built anew.
     pub fn finish(self, front: &mut KeyframeMap) -> usize {
         let Stage::Building(mut building) = self.stage else {
             return 0;
@@ -246,8 +246,8 @@ impl Building {
         known.into_iter().chain(other).min()
     }
 
-    /// Marks what was built anew as newer than anything in the first map, also bricks that are unknown
-    /// now, so that those who follow the map learn of it; the number of bricks.
+    /// Marks what was built anew as newer than anything in the first map, also bricks that are
+    /// unknown now, so that those who follow the map learn of it; the number of bricks.
     fn mark_as_new(&mut self, front: &OccupancyMap) -> usize {
         self.map.revision = self.map.revision.max(front.revision) + 1;
         let bricks = match std::mem::replace(&mut self.extent, Extent::All) {

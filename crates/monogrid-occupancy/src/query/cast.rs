@@ -95,7 +95,8 @@ impl UnknownCells {
     }
 }
 
-/// The stop at the first cell of a brick, by its index, that stops a ray, of the state that is said.
+/// The stop at the first cell of a brick, by its index, that stops a ray, of the state that is
+/// said.
 #[inline]
 pub(crate) fn first_in_brick(
     (ray, brick, resolution): (&Ray, BrickKey, f64),
@@ -118,7 +119,8 @@ pub(crate) fn first_in_brick(
     hit
 }
 
-/// What `hit_in_brick` says of the first brick, by its packed key, that stops the ray from an origin along a direction.
+/// What `hit_in_brick` says of the first brick, by its packed key, that stops the ray from an
+/// origin along a direction.
 pub(crate) fn first_hit(
     [origin, direction]: [[f64; 3]; 2],
     max_range: f64,

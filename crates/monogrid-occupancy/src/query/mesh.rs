@@ -1,8 +1,9 @@
 //! The surface between occupied and free cells as triangles.
 //!
-//! Surface nets (Gibson, *Constrained elastic surface nets*, MICCAI 1998) over the centres of cells: a vertex for every cube of
-//! eight centres that the surface passes through, in the middle of the places where log-odds cross the threshold on its edges,
-//! and two triangles around every edge that is crossed. What lies behind a surface is unknown, so the back of a wall that nobody
+//! Surface nets (Gibson, *Constrained elastic surface nets*, MICCAI 1998) over the centres of
+//! cells: a vertex for every cube of eight centres that the surface passes through, in the middle
+//! of the places where log-odds cross the threshold on its edges, and two triangles around every
+//! edge that is crossed. What lies behind a surface is unknown, so the back of a wall that nobody
 //! has seen is no surface.
 
 use std::collections::HashMap;
@@ -25,12 +26,13 @@ pub struct SurfaceMesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// Memory of a face while a surface is made: its vertex (there are about as many) twice, with its place among them, and its corners.
+/// Memory of a face while a surface is made: its vertex (there are about as many) twice, with its
+/// place among them, and its corners.
 const BYTES_PER_FACE: usize = 200;
 
 impl OccupancyMap {
-    /// The surface between occupied and free cells, without pieces that hang together by fewer than `min_faces` faces of cells:
-    /// these are mostly false measurements in free space. 0 keeps all.
+    /// The surface between occupied and free cells, without pieces that hang together by fewer than
+    /// `min_faces` faces of cells: these are mostly false measurements in free space. 0 keeps all.
     ///
     /// # Errors
     /// Map and surface together need more than the memory budget of the map.
@@ -99,7 +101,8 @@ impl Net<'_> {
         index
     }
 
-    /// Where the edges of a cube between occupied and free centres are crossed, on average, in cells from its first centre.
+    /// Where the edges of a cube between occupied and free centres are crossed, on average, in
+    /// cells from its first centre.
     fn middle_of_crossings(&self, cube: VoxelKey) -> [f64; 3] {
         let corner = |i: usize| [i & 1, i >> 1 & 1, i >> 2].map(|bit| bit as i32);
         let values: [Option<f32>; 8] = std::array::from_fn(|i| {

@@ -102,7 +102,8 @@ impl OccupancyMap {
 }
 
 impl Projection {
-    /// The same columns in a grid whose sides lie at multiples of `cells`: a map that grows a little keeps its size and place.
+    /// The same columns in a grid whose sides lie at multiples of `cells`: a map that grows a
+    /// little keeps its size and place.
     #[must_use]
     pub fn aligned(&self, cells: usize) -> Self {
         let cells = (cells as i64).max(1);
@@ -116,7 +117,8 @@ impl Projection {
         self.window(begin, width, height)
     }
 
-    /// The part around a point that has at most so many columns, as square as it can be; all of it where that is few enough.
+    /// The part around a point that has at most so many columns, as square as it can be; all of it
+    /// where that is few enough.
     #[must_use]
     pub fn around(&self, center: [f64; 2], max_columns: usize) -> Self {
         if self.columns.len() <= max_columns {

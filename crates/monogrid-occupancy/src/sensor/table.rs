@@ -2,9 +2,9 @@
 //!
 //! A bin is a value of the exponent and the five highest mantissa bits of sigma as `f32`, so the
 //! sigma of a table is within 1.6 % of the measurement's. An entry holds the limited update by the
-//! model's log-odds at its centre; entries are sigma/64 wide. Models that also depend on how uncertain
-//! the range is relative to itself get one table per bin of sigma and of `range / sigma`. The
-//! tests bound the difference to the exact model.
+//! model's log-odds at its centre; entries are sigma/64 wide. Models that also depend on how
+//! uncertain the range is relative to itself get one table per bin of sigma and of `range / sigma`.
+//! The tests bound the difference to the exact model.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -36,7 +36,8 @@ pub(crate) struct UpdateLimits {
     pub max: f64,
     /// Behind the obstacle, log-odds smaller than this end the ray.
     pub cutoff: f64,
-    /// So many updates bring a cell to the log-odds that a measurement states, for free and for occupied; 0: one does.
+    /// So many updates bring a cell to the log-odds that a measurement states, for free and for
+    /// occupied; 0: one does.
     pub to_belief: [u8; 2],
 }
 
@@ -129,8 +130,8 @@ struct Bins {
     band: u32,
 }
 
-/// Tables that earlier scans needed: the next ones need the same, and to make one takes as long as to integrate a thousand
-/// measurements. Copies know the same; what is known changes no result.
+/// Tables that earlier scans needed: the next ones need the same, and to make one takes as long as
+/// to integrate a thousand measurements. Copies know the same; what is known changes no result.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct KnownTables(Arc<Mutex<Known>>);
 
@@ -277,7 +278,8 @@ impl TableSet {
         self.model.automatic_band().is_some() && self.model.is_shift_invariant()
     }
 
-    /// Index of a table for the measurements of another one, with a band at least as long as given instead of the model's own.
+    /// Index of a table for the measurements of another one, with a band at least as long as given
+    /// instead of the model's own.
     pub(crate) fn with_band(&mut self, index: u16, length: f32) -> u16 {
         let bins = self.bins_of_tables[usize::from(index)];
         let sigma = bin_center(bins.sigma, BIN_SHIFT);

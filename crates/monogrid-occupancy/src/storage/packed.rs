@@ -19,8 +19,8 @@ const UNPACKED_WORDS: usize = BRICK_CELLS * size_of::<i16>() / size_of::<u64>();
 const MAX_VALUES: usize = 256;
 const PLANES_BITS: u32 = 4;
 
-/// The values that occur in a brick in the order of their first cells, and the index per cell; `None` if there are
-/// too many values.
+/// The values that occur in a brick in the order of their first cells, and the index per cell;
+/// `None` if there are too many values.
 fn palette(cells: &[i16; BRICK_CELLS]) -> Option<(Vec<i16>, [u8; BRICK_CELLS])> {
     const SLOTS: usize = 1024;
     // Open addressing: index plus one.

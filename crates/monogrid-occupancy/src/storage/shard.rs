@@ -325,7 +325,8 @@ impl Shard {
 }
 
 for_avx2! {
-    /// An update per cell, where 0 leaves the cell alone; whether anything changed, and whether not all are equal then.
+    /// An update per cell, where 0 leaves the cell alone; whether anything changed, and whether not
+    /// all are equal then.
     fn update_cells(
         cells: &mut [i16; BRICK_CELLS],
         updates: &[i16; BRICK_CELLS],

@@ -1,13 +1,13 @@
-//! The rule `fused` against its definition, evaluated cell by cell on a dense grid in `f64` with the
-//! exact sensor model: no image pyramids, no tables, no search for bricks, no vectors.
+//! The rule `fused` against its definition, evaluated cell by cell on a dense grid in `f64` with
+//! the exact sensor model: no image pyramids, no tables, no search for bricks, no vectors.
 //!
-//! The definition, for a depth image: a cell's footprint is the square of its width projected at the
-//! depth of its centre. It is sampled at its centre (up to 1.5 pixels), at four places (up to 3.2) or at
-//! eight. A sample is the log-odds of the model for the measurement of the pixel that holds it, at the
-//! range of the cell's centre; pixels without measurement and measurements that say nothing there are
-//! no samples. Obstacles among several samples count three times. The update is the mean of the samples
-//! times the root of the number of measurements, one to four, that the footprint holds where the middle
-//! of the cell's brick lies.
+//! The definition, for a depth image: a cell's footprint is the square of its width projected at
+//! the depth of its centre. It is sampled at its centre (up to 1.5 pixels), at four places (up to
+//! 3.2) or at eight. A sample is the log-odds of the model for the measurement of the pixel that
+//! holds it, at the range of the cell's centre; pixels without measurement and measurements that
+//! say nothing there are no samples. Obstacles among several samples count three times. The update
+//! is the mean of the samples times the root of the number of measurements, one to four, that the
+//! footprint holds where the middle of the cell's brick lies.
 #![allow(clippy::too_many_lines, reason = "a test tells its story in one place")]
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps")]
 
@@ -20,11 +20,13 @@ const WIDTH: i32 = 80;
 const HEIGHT: i32 = 60;
 const FOCAL: f64 = 60.0;
 const CENTER: [f64; 2] = [39.5, 29.5];
-/// Error of the tables for one sample: of the table itself, and of sigma being one of 32 per octave.
+/// Error of the tables for one sample: of the table itself, and of sigma being one of 32 per
+/// octave.
 const TABLE_ERROR: f64 = 0.1;
 /// Samples so near the border of a pixel (in pixels) may fall on either side in `f32`.
 const BORDER: f64 = 2e-4;
-/// Samples that say so little (in log-odds) may say nothing in the table: behind the cut, or exactly 0.
+/// Samples that say so little (in log-odds) may say nothing in the table: behind the cut, or
+/// exactly 0.
 const LITTLE: f64 = 0.03;
 
 struct View {
@@ -53,7 +55,8 @@ impl View {
         }
     }
 
-    /// Depths and standard deviations of the ranges of all pixels; 0 and 1 where nothing was measured.
+    /// Depths and standard deviations of the ranges of all pixels; 0 and 1 where nothing was
+    /// measured.
     fn complete(&self) -> (Vec<f32>, Vec<f32>) {
         let count = (WIDTH * HEIGHT) as usize;
         let (mut depths, mut sigmas) = (vec![0.0; count], vec![1.0; count]);

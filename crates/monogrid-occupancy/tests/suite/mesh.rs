@@ -45,7 +45,8 @@ fn the_surface_of_a_ball_is_closed_where_it_should_be_and_looks_outwards() {
         let outwards: f64 = (0..3).map(|k| vertex[k] * normal[k] / distance).sum();
         assert!(outwards > 0.9, "{outwards}");
     }
-    // every edge belongs to two triangles that go along it in opposite directions, and V - E + F = 2
+    // every edge belongs to two triangles that go along it in opposite directions, and V - E + F =
+    // 2
     let mut edges: BTreeMap<(u32, u32), i32> = BTreeMap::new();
     for [a, b, c] in &mesh.triangles {
         for (from, to) in [(*a, *b), (*b, *c), (*c, *a)] {

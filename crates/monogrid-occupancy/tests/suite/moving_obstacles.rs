@@ -43,7 +43,8 @@ fn range_to_surface(origin: [f64; 3], unit: [f64; 3], obstacle: Option<Bounds>) 
     }
 }
 
-/// A depth image (80 degrees, every fourth pixel a hole) of a camera at `origin` that looks along +x.
+/// A depth image (80 degrees, every fourth pixel a hole) of a camera at `origin` that looks along
+/// +x.
 fn camera_scan(
     random: &mut Random,
     id: u32,
@@ -99,8 +100,8 @@ fn config(rule: IntegrationRule) -> IntegrationConfig {
     }
 }
 
-/// Where the box is at each scan: it crosses the view sideways in steps of 6 cm, stands still for the
-/// last ten scans.
+/// Where the box is at each scan: it crosses the view sideways in steps of 6 cm, stands still for
+/// the last ten scans.
 fn path() -> Vec<[f64; 3]> {
     (0..40)
         .map(|step: i32| [0.6, -1.2 + 0.06 * f64::from(step.min(30)), 0.1])

@@ -114,8 +114,8 @@ fn rays_equal_the_brute_force_grid_to_the_accuracy_of_the_tables() {
     for (case, config) in configs().into_iter().enumerate() {
         for resolution in [0.05, 0.13] {
             let mut random = Random(case as u64 + 1);
-            // Few rays: table errors of many visits would add up and hide a wrong cell. One by one, as clamped values
-            // depend on the order and the points of a scan have none.
+            // Few rays: table errors of many visits would add up and hide a wrong cell. One by one,
+            // as clamped values depend on the order and the points of a scan have none.
             let scans: Vec<_> = (0..2)
                 .flat_map(|pose| {
                     let room = room_scan(&mut random, pose, 40, 1.6);

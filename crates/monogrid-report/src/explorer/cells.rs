@@ -10,8 +10,9 @@ const MAX_CUBES: usize = 400_000;
 
 /// Cubes of a map: leaves of its pruned octree.
 ///
-/// A block is base64 of four little-endian 16-bit integers per cube: its first cell relative to `first` along x, y, z, and the
-/// logarithm of its edge in cells times 256 plus its probability of occupancy in 1/255.
+/// A block is base64 of four little-endian 16-bit integers per cube: its first cell relative to
+/// `first` along x, y, z, and the logarithm of its edge in cells times 256 plus its probability of
+/// occupancy in 1/255.
 #[derive(Clone, Debug, Serialize)]
 pub struct Cells {
     /// Edge of a cell.
@@ -99,7 +100,8 @@ fn within(cell: i32, first: i32) -> Option<u16> {
     u16::try_from(i64::from(cell) - i64::from(first)).ok()
 }
 
-/// Cubes of at least this level: smaller ones become the cube that they lie in, with the largest of their probabilities.
+/// Cubes of at least this level: smaller ones become the cube that they lie in, with the largest of
+/// their probabilities.
 fn merged(cubes: &[Cube], level: u32) -> Vec<Cube> {
     let mut large: BTreeMap<[i32; 3], Cube> = BTreeMap::new();
     for cube in cubes {

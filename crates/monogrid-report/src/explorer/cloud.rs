@@ -1,4 +1,5 @@
-//! Measured points as a block of integers, and what was measured in keyframes, without what was filled in between.
+//! Measured points as a block of integers, and what was measured in keyframes, without what was
+//! filled in between.
 
 use super::Look;
 use crate::picture::base64;
@@ -14,7 +15,8 @@ use serde::Serialize;
 const MAX_POINTS: usize = 500_000;
 /// Relative uncertainty at which confidence is 0.
 const WORST_RELATIVE_SIGMA: f32 = 0.05;
-/// Points farther from the middle half than this many times its size are left out: they would make the others coarse.
+/// Points farther from the middle half than this many times its size are left out: they would make
+/// the others coarse.
 const FAR: f64 = 20.0;
 
 /// A measured point.
@@ -37,8 +39,8 @@ impl CloudPoint {
 
 /// The points of all keyframes, in the order of the keyframes.
 ///
-/// The block is base64 of four little-endian 16-bit integers per point: x, y, z in steps from `low`, and confidence in 1/255 times
-/// 256 plus grey level.
+/// The block is base64 of four little-endian 16-bit integers per point: x, y, z in steps from
+/// `low`, and confidence in 1/255 times 256 plus grey level.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Cloud {
     /// Lower corner.
@@ -60,8 +62,8 @@ impl Cloud {
         measured.div_ceil(MAX_POINTS).max(1)
     }
 
-    /// Of the points of each keyframe, which are some of all that were measured; the second value is the first point that is shown
-    /// of each keyframe and their number.
+    /// Of the points of each keyframe, which are some of all that were measured; the second value
+    /// is the first point that is shown of each keyframe and their number.
     pub fn new(groups: &[Vec<CloudPoint>], measured: usize) -> (Self, Vec<[usize; 2]>) {
         let ranges = [0, 1, 2].map(|axis| {
             let along = groups.iter().flatten().map(|p| f64::from(p.point[axis]));

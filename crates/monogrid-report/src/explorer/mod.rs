@@ -1,11 +1,13 @@
-//! The part of a page that is explored: cells, cloud, path and keyframes in three dimensions, a map from above, a timeline and
-//! the pictures of keyframes, all linked.
+//! The part of a page that is explored: cells, cloud, path and keyframes in three dimensions, a map
+//! from above, a timeline and the pictures of keyframes, all linked.
 //!
-//! [`Scene`] holds what there is to see, [`section`] makes a piece of a page of it that needs no other file and no network:
-//! numbers as JSON, geometry as blocks of 16-bit integers in base64, and the scripts of `assets/` as an import map of data URLs.
+//! [`Scene`] holds what there is to see, [`section`] makes a piece of a page of it that needs no
+//! other file and no network: numbers as JSON, geometry as blocks of 16-bit integers in base64, and
+//! the scripts of `assets/` as an import map of data URLs.
 //!
-//! The scripts are plain modules without a build step; only three.js is minified. A content security policy keeps a page from loading
-//! anything else, but for the answers of its own server while a run goes on. `scripts/look.sh` looks at pages in a browser.
+//! The scripts are plain modules without a build step; only three.js is minified. A content
+//! security policy keeps a page from loading anything else, but for the answers of its own server
+//! while a run goes on. `scripts/look.sh` looks at pages in a browser.
 
 mod cells;
 mod cloud;

@@ -4,7 +4,8 @@ use super::{Cells, Cloud, PageMesh};
 use monogrid_geometry::{Pinhole, Sim3};
 use serde::Serialize;
 
-/// Everything that a page can show of a map or a run; what is not there is left out. Lengths are in `unit`, z is up.
+/// Everything that a page can show of a map or a run; what is not there is left out. Lengths are in
+/// `unit`, z is up.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Scene {
     /// Name of the unit of length.
@@ -23,7 +24,8 @@ pub struct Scene {
     pub camera: Option<Camera>,
     /// Keyframes of the main map.
     pub keyframes: Vec<Keyframe>,
-    /// Pairs of positions in `keyframes` that the graph holds together although they do not follow each other.
+    /// Pairs of positions in `keyframes` that the graph holds together although they do not follow
+    /// each other.
     pub links: Vec<[usize; 2]>,
     /// Where the camera was, in the order of time.
     pub path: Vec<PathPoint>,
@@ -106,7 +108,8 @@ pub struct Frames {
     pub time: Vec<f64>,
     /// Position in `legend`.
     pub state: Vec<usize>,
-    /// Why the pose is not good, by index of the frame, where that changes; an empty text where it is good.
+    /// Why the pose is not good, by index of the frame, where that changes; an empty text where it
+    /// is good.
     pub reasons: Vec<(usize, String)>,
     /// Share of pixels that agree, per cent; -1 where unknown.
     pub good: Vec<i16>,

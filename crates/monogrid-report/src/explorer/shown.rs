@@ -1,5 +1,5 @@
-//! Keyframes of a map as they are shown, of a run that has just ended or of a recording: pictures small enough that all of them
-//! fit into a page.
+//! Keyframes of a map as they are shown, of a run that has just ended or of a recording: pictures
+//! small enough that all of them fit into a page.
 
 use super::{Cloud, CloudPoint, Keyframe, SemiDense, seconds_since};
 use crate::colours::{ColourImage, Colours};
@@ -93,7 +93,8 @@ pub fn point_groups(keyframes: &[ShownKeyframe], colours: &Colours) -> Vec<Vec<C
     keyframes.iter().map(points).collect()
 }
 
-/// The cloud of these points and the keyframes that they belong to; times are counted from `begin_ns`.
+/// The cloud of these points and the keyframes that they belong to; times are counted from
+/// `begin_ns`.
 pub fn cloud_and_keyframes(
     keyframes: &[ShownKeyframe],
     groups: &[Vec<CloudPoint>],

@@ -19,7 +19,8 @@ pub struct Measured {
 /// Relative uncertainty that is drawn in the last colour.
 const WORST_RELATIVE_SIGMA: f64 = 0.1;
 
-/// Inverse depth over the darkened image: red is near, blue is far, between the 2 % and 98 % quantiles.
+/// Inverse depth over the darkened image: red is near, blue is far, between the 2 % and 98 %
+/// quantiles.
 pub fn depth_picture(image: &Image<u8>, measured: &[Measured]) -> Picture {
     let mut idepths: Vec<f64> = measured.iter().map(|m| m.idepth).collect();
     let far = colour::quantile(&mut idepths, 0.02);
@@ -30,7 +31,8 @@ pub fn depth_picture(image: &Image<u8>, measured: &[Measured]) -> Picture {
     })
 }
 
-/// Relative uncertainty of the inverse depth over the darkened image: green is certain, red is 10 % or more.
+/// Relative uncertainty of the inverse depth over the darkened image: green is certain, red is 10 %
+/// or more.
 pub fn uncertainty_picture(image: &Image<u8>, measured: &[Measured]) -> Picture {
     overlay(image, measured, |m| {
         colour::certainty(m.relative_sigma / WORST_RELATIVE_SIGMA)

@@ -1,4 +1,5 @@
-//! Horizontal slices of a map as grey pictures: black occupied, white free (as `map.pgm`), mid grey unknown.
+//! Horizontal slices of a map as grey pictures: black occupied, white free (as `map.pgm`), mid grey
+//! unknown.
 
 use monogrid_image::Image;
 use monogrid_occupancy::{Leaf, OccupancyMap, VoxelKey, probability_from_log_odds};

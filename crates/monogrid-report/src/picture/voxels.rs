@@ -1,4 +1,5 @@
-//! A view of a map: occupied cells as shaded cubes, seen from above at an angle, with the camera's path.
+//! A view of a map: occupied cells as shaded cubes, seen from above at an angle, with the camera's
+//! path.
 
 use super::{Picture, colour, shrink};
 use monogrid_occupancy::{MapError, Occupancy, OccupancyMap};
@@ -59,7 +60,8 @@ impl Default for View {
 const OVERSAMPLING: usize = 2;
 const BACKGROUND: [u8; 3] = [250, 250, 248];
 const PATH_COLOUR: [u8; 3] = [20, 20, 20];
-/// Share of cells on each side that does not decide the extent of the picture (stray cells far away).
+/// Share of cells on each side that does not decide the extent of the picture (stray cells far
+/// away).
 const EXTENT_QUANTILE: f64 = 0.005;
 
 /// Renders the cubes and the path (both z up). `cut_height`: cells whose centre lies above are left
@@ -93,8 +95,8 @@ pub fn render_coloured(cubes: &[Cube], colours: &[[u8; 3]], view: &View) -> Pict
     shrink(&canvas.picture, OVERSAMPLING, |pixel| pixel)
 }
 
-/// Where to cut so that one looks into the room in which the camera moved: somewhat above its path, or below the ceiling where that
-/// leaves more to be seen.
+/// Where to cut so that one looks into the room in which the camera moved: somewhat above its path,
+/// or below the ceiling where that leaves more to be seen.
 pub fn dollhouse_cut(cubes: &[Cube], path: &[[f64; 3]]) -> Option<f64> {
     let highest = path.iter().map(|p| p[2]).max_by(f64::total_cmp)?;
     let mut heights: Vec<f64> = cubes.iter().map(|cube| cube.center[2]).collect();
@@ -114,7 +116,8 @@ const CEILING_CELLS: i64 = 12;
 /// and holds at least this share of the cells.
 const CEILING_SHARE: f64 = 0.25;
 
-/// Below the layer above `height` that holds most cells, where that is a ceiling: thin, and much of the map.
+/// Below the layer above `height` that holds most cells, where that is a ceiling: thin, and much of
+/// the map.
 fn below_ceiling(cubes: &[Cube], height: f64) -> Option<f64> {
     let sizes = cubes.iter().map(|cube| cube.size);
     let cell = sizes.min_by(f64::total_cmp)?;

@@ -111,12 +111,14 @@ impl CellColours {
         self.mean(cell, [0..=0, -1..=1])
     }
 
-    /// The mean colour of the eight cells that begin with this one; where nothing was measured in them, of those around.
+    /// The mean colour of the eight cells that begin with this one; where nothing was measured in
+    /// them, of those around.
     fn around(&self, cube: VoxelKey) -> [u8; 3] {
         self.mean(cube, [0..=1, -1..=2])
     }
 
-    /// The mean of what was measured in the cells so far away along each axis, of the first reach in which something was.
+    /// The mean of what was measured in the cells so far away along each axis, of the first reach
+    /// in which something was.
     fn mean(&self, cell: VoxelKey, reaches: [RangeInclusive<i32>; 2]) -> [u8; 3] {
         for reach in reaches {
             let mut sums = [0_u32; 4];

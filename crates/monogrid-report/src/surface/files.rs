@@ -63,7 +63,8 @@ fn write_ply(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result
     Ok(())
 }
 
-/// Magic number, version, and the kinds of the two chunks of a `.glb` (glTF 2.0 specification, section 4).
+/// Magic number, version, and the kinds of the two chunks of a `.glb` (glTF 2.0 specification,
+/// section 4).
 const GLB_MAGIC: [u8; 4] = *b"glTF";
 const GLB_VERSION: u32 = 2;
 const JSON_CHUNK: [u8; 4] = *b"JSON";
@@ -109,7 +110,8 @@ fn write_glb(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result
     Ok(())
 }
 
-/// The scene: one node that turns z up to y up, with one mesh; `bytes` of its vertices, normals, colours and indices.
+/// The scene: one node that turns z up to y up, with one mesh; `bytes` of its vertices, normals,
+/// colours and indices.
 fn description(mesh: &ColouredMesh, unit: &str, bytes: &[usize; 4]) -> Value {
     const HALF: f64 = std::f64::consts::FRAC_1_SQRT_2;
     let surface = &mesh.surface;

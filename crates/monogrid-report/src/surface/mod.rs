@@ -1,4 +1,5 @@
-//! The surface of a map as a mesh in colour: made from the map and the keyframes, written as PLY and glTF.
+//! The surface of a map as a mesh in colour: made from the map and the keyframes, written as PLY
+//! and glTF.
 
 mod colour;
 mod files;

@@ -18,8 +18,8 @@ pub const MAX_BYTES: usize = MAX_MESSAGE_BYTES - OVERHEAD_BYTES;
 /// A part is smaller than the one before by this much.
 const SHRINK: f64 = 0.8;
 
-/// What `make` makes of a map, or, where that does not fit, of the largest part around `center` that does, with its
-/// radius. Lengths are those of the map.
+/// What `make` makes of a map, or, where that does not fit, of the largest part around `center`
+/// that does, with its radius. Lengths are those of the map.
 ///
 /// # Errors
 /// What `make` cannot do.
@@ -55,14 +55,15 @@ pub const MAX_POINTS: usize = MAX_BYTES / (4 * BYTES_PER_NUMBER);
 /// Depths that are less certain are not sent.
 const MAX_RELATIVE_SIGMA: f32 = 0.05;
 
-/// The centres of the occupied cells of a map whose lengths are metres; the intensity is their probability.
+/// The centres of the occupied cells of a map whose lengths are metres; the intensity is their
+/// probability.
 #[must_use]
 pub fn cloud_of_cells(header: Header, map: &OccupancyMap) -> PointCloud2 {
     cut(header, points_of_cells(map))
 }
 
-/// The points of a keyframe, of which depth is known well enough, in the frame given by `frame_from_keyframe` (m); the
-/// intensity is the grey value, 0 to 255.
+/// The points of a keyframe, of which depth is known well enough, in the frame given by
+/// `frame_from_keyframe` (m); the intensity is the grey value, 0 to 255.
 #[must_use]
 pub fn cloud_of_keyframe(
     header: Header,
@@ -88,8 +89,8 @@ fn cut(header: Header, points: impl Iterator<Item = [f32; 4]>) -> PointCloud2 {
     cloud_of(header, "intensity", points.take(MAX_POINTS))
 }
 
-/// The smallest rectangle of `now` that holds all cells that differ from `before`; `None` where none does. The two are of
-/// one size and place, else all of `now` must be sent.
+/// The smallest rectangle of `now` that holds all cells that differ from `before`; `None` where
+/// none does. The two are of one size and place, else all of `now` must be sent.
 #[must_use]
 pub fn changed_part(before: &OccupancyGrid, now: &OccupancyGrid) -> Option<OccupancyGridUpdate> {
     let width = now.info.width as usize;
@@ -115,7 +116,8 @@ pub fn changed_part(before: &OccupancyGrid, now: &OccupancyGrid) -> Option<Occup
 /// The last line of the header of OctoMap's files.
 const END_OF_HEADER: &[u8] = b"\ndata\n";
 
-/// A map whose lengths are metres as a tree: with free and occupied cells only (`binary`), or with log-odds.
+/// A map whose lengths are metres as a tree: with free and occupied cells only (`binary`), or with
+/// log-odds.
 ///
 /// # Errors
 /// Cells beyond what OctoMap can address.
@@ -146,7 +148,8 @@ const MAX_NAME_BYTES: usize = 100;
 /// Poses that fit into one message.
 pub const MAX_PATH_POSES: usize = MAX_BYTES / (BYTES_PER_POSE + MAX_NAME_BYTES);
 
-/// Poses in the frame of the header, m, with their times; at most [`MAX_PATH_POSES`], the last ones.
+/// Poses in the frame of the header, m, with their times; at most [`MAX_PATH_POSES`], the last
+/// ones.
 #[must_use]
 pub fn last_path_of(header: Header, poses: &[(Time, Se3)]) -> Path {
     let first = poses.len().saturating_sub(MAX_PATH_POSES);
@@ -267,7 +270,8 @@ mod tests {
     #[test]
     fn one_occupied_cell_is_a_branch_of_sixteen_nodes() {
         let mut map = OccupancyMap::new(MapConfig::with_resolution(0.25)).unwrap();
-        // the lowest cell of the octant that is positive in all axes: octant 7, then 0 down to the leaf
+        // the lowest cell of the octant that is positive in all axes: octant 7, then 0 down to the
+        // leaf
         map.set_log_odds(VoxelKey::new(0, 0, 0), Some(1.0)).unwrap();
         let binary = octomap_of(Header::default(), &map, true).unwrap();
         assert_eq!((binary.id.as_str(), binary.binary), ("OcTree", true));

@@ -12,7 +12,8 @@ pub use monogrid_bags::convert::{
     camera_of, gray_image, gray_of_compressed, grid_of, imu_sample_of, odometry_of, transform_of,
 };
 
-/// Largest message that is sent, bytes: what is larger can be lost on its way without an error on either side.
+/// Largest message that is sent, bytes: what is larger can be lost on its way without an error on
+/// either side.
 pub const MAX_MESSAGE_BYTES: usize = 4_000_000;
 
 /// Left for everything in a message that does not grow: headers, names, sizes.

@@ -195,7 +195,8 @@ impl Sweep<'_> {
         Ok(format!("{stamp}{options:?} {} ", env!("CARGO_PKG_VERSION")))
     }
 
-    /// The truth with cells of this size, of which slices are drawn; `None` where it is not fine enough.
+    /// The truth with cells of this size, of which slices are drawn; `None` where it is not fine
+    /// enough.
     fn drawn_truth(&self, resolution: f64) -> Result<Option<TruthGrid>, Failure> {
         let Some(finest) = self.finest_truth else {
             return Ok(None);

@@ -1,5 +1,5 @@
-//! What a sweep leaves for people: tables as CSV and Markdown, figures as SVG with their points as CSV,
-//! and one page that holds everything.
+//! What a sweep leaves for people: tables as CSV and Markdown, figures as SVG with their points as
+//! CSV, and one page that holds everything.
 
 use super::figures::{self, Figure};
 use super::pictures::{AFTER_ONE, AFTER_SEVERAL, LIKELY, PictureOrders, VIEWED};

@@ -35,7 +35,8 @@ const SLICE_SHARES: [f64; 3] = [0.25, 0.5, 0.75];
 const CUT_SHARE: f64 = 0.8;
 /// Octovis, which the thesis used, shows cells above this probability.
 const VIEW_PROBABILITY: f64 = 0.7;
-/// The models that views are drawn of: the thesis' three values of L (0.45 replaced by the nearest of its table) and of k.
+/// The models that views are drawn of: the thesis' three values of L (0.45 replaced by the nearest
+/// of its table) and of k.
 pub const VIEWED: [Model; 8] = [
     Model::None,
     Model::Thrun(0.05),

@@ -55,7 +55,8 @@ impl RecordingResult {
         })
     }
 
-    /// The model of a family with the largest score; ties go to the larger recall, as in the thesis.
+    /// The model of a family with the largest score; ties go to the larger recall, as in the
+    /// thesis.
     pub fn best(&self, family: &Family, resolution: f64, score: Score) -> Option<Model> {
         let ranked = family.models().into_iter().filter_map(|model| {
             let scores = self.scores(model, resolution)?;

@@ -18,9 +18,9 @@ pub struct Resources {
     pub memory_bytes: usize,
 }
 
-/// The records of all entries of one job, in their order: those of an earlier sweep where they are of
-/// the same work, the rest built. A map that does not fit into its share of the memory is built again
-/// alone, with all of it, before it is given up.
+/// The records of all entries of one job, in their order: those of an earlier sweep where they are
+/// of the same work, the rest built. A map that does not fit into its share of the memory is built
+/// again alone, with all of it, before it is given up.
 pub fn run(
     job: &Job,
     entries: &[Entry],

@@ -2,7 +2,8 @@
 
 use super::plan::{BUFFERS, Model, SIGNIFICANCES};
 
-/// A model with one parameter, the thesis' ten values of it, and where the thesis shows its results.
+/// A model with one parameter, the thesis' ten values of it, and where the thesis shows its
+/// results.
 #[derive(Debug)]
 pub struct Family {
     /// Name of the model.

@@ -39,7 +39,8 @@ struct News {
     /// Positions of the camera, from the one that was asked for.
     path: Vec<PathPoint>,
     keyframes: Vec<KeyframeNews>,
-    /// Poses of all keyframes: identity, unit, and the rows of the pose. Nothing if none has changed.
+    /// Poses of all keyframes: identity, unit, and the rows of the pose. Nothing if none has
+    /// changed.
     poses: Vec<(u32, f64, [f64; 12])>,
     cells: Option<Cells>,
 }
@@ -83,8 +84,8 @@ impl Shown {
         }
     }
 
-    /// The answer to `/live/VERSION/PATH/CELLS`: what has changed since a version, the path from a position on, and, where CELLS is
-    /// 1, the cells.
+    /// The answer to `/live/VERSION/PATH/CELLS`: what has changed since a version, the path from a
+    /// position on, and, where CELLS is 1, the cells.
     pub fn answer(&self, path: &str) -> Option<Answer> {
         let (since, rest) = path.strip_prefix("/live/")?.split_once('/')?;
         let (from, cells) = rest.split_once('/')?;

@@ -1,8 +1,9 @@
 //! `run --view`: the run in the browser while it goes on.
 //!
-//! The run puts what it knows into [`Live`], which only holds references to what exists anyway; everything that costs time, such as
-//! packing points or pictures, is done on the thread of the server, when a browser asks; the map grows only while a browser looks at
-//! its cells. So a slow or absent viewer costs nothing, and nothing waits for one before all results are written.
+//! The run puts what it knows into [`Live`], which only holds references to what exists anyway;
+//! everything that costs time, such as packing points or pictures, is done on the thread of the
+//! server, when a browser asks; the map grows only while a browser looks at its cells. So a slow or
+//! absent viewer costs nothing, and nothing waits for one before all results are written.
 
 mod answers;
 
@@ -277,7 +278,8 @@ impl Viewer {
         self.live.follow_map(|| pipeline.live_map_later());
     }
 
-    /// Tells those who ask that there are no more frames; they take the last news while results are made.
+    /// Tells those who ask that there are no more frames; they take the last news while results are
+    /// made.
     pub fn note_end(&mut self) {
         self.live.has_ended.store(true, Ordering::Relaxed);
         self.ended.get_or_insert_with(Instant::now);

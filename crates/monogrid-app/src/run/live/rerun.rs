@@ -100,7 +100,8 @@ impl Rerun {
         })
     }
 
-    /// Waits until it has taken the last news, but not for long after the last frame; what it lacks is said.
+    /// Waits until it has taken the last news, but not for long after the last frame; what it lacks
+    /// is said.
     pub fn end(mut self, last_frame: Instant) {
         if let Some(lack) = self.wait(last_frame) {
             eprintln!("warning: {PROGRAM} {lack}");

@@ -8,7 +8,8 @@ use monogrid_report::explorer::{CloudPoint, ShownKeyframe, measured_in};
 /// Points in the file at most; of more, they are taken evenly.
 const MAX_POINTS: usize = 2_000_000;
 
-/// Writes `cloud.ply`, binary little-endian PLY: what was measured in the keyframes, if there are any, with colour and confidence.
+/// Writes `cloud.ply`, binary little-endian PLY: what was measured in the keyframes, if there are
+/// any, with colour and confidence.
 pub fn write_cloud(
     folder: &OutputFolder,
     keyframes: &[ShownKeyframe],

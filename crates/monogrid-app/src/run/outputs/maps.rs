@@ -26,8 +26,8 @@ pub struct MapPictures {
     pub band: Option<[f64; 2]>,
 }
 
-/// Writes the maps in all formats, and pictures of them; those of what loops corrected where the path before the corrections
-/// is given.
+/// Writes the maps in all formats, and pictures of them; those of what loops corrected where the
+/// path before the corrections is given.
 pub fn write_maps(
     folder: &OutputFolder,
     maps: &Maps,
@@ -71,8 +71,8 @@ pub struct Surface<'a> {
     pub config: &'a MeshConfig,
 }
 
-/// Writes the global map and its part around the camera, its cells as points, its surface, it from above, and a picture; its
-/// occupied cells, and pictures without those of loops.
+/// Writes the global map and its part around the camera, its cells as points, its surface, it from
+/// above, and a picture; its occupied cells, and pictures without those of loops.
 pub fn write_global(
     folder: &OutputFolder,
     [global, local]: [&OccupancyMap; 2],
@@ -147,8 +147,9 @@ fn write_mesh(
     Ok(Some(mesh))
 }
 
-/// The map and the path before and after loops were closed, from above: every keyframe where it was when it
-/// was finished, and where the graph has it in the end. The same piece of the world in both.
+/// The map and the path before and after loops were closed, from above: every keyframe where it was
+/// when it was finished, and where the graph has it in the end. The same piece of the world in
+/// both.
 fn write_loop_pictures(
     folder: &OutputFolder,
     before: (&[Cube], &[[f64; 3]]),
@@ -211,8 +212,9 @@ fn write_grid(
     Ok(Some(band))
 }
 
-/// The map seen from above, of the heights that matter, and these; `heights` are those of its occupied cells. `None` where nothing
-/// of them is known, or the map is too large for it, which is said.
+/// The map seen from above, of the heights that matter, and these; `heights` are those of its
+/// occupied cells. `None` where nothing of them is known, or the map is too large for it, which is
+/// said.
 pub fn seen_from_above(
     map: &OccupancyMap,
     heights: impl Iterator<Item = f64>,

@@ -39,8 +39,8 @@ pub struct Playback<'a> {
 }
 
 impl Playback<'_> {
-    /// Writes everything that happened at its time, as it is known at the end; path and map at the first time, so that they are seen
-    /// from there on.
+    /// Writes everything that happened at its time, as it is known at the end; path and map at the
+    /// first time, so that they are seen from there on.
     pub fn write(&self, out: impl Write) -> io::Result<()> {
         let program = concat!("monogrid ", env!("CARGO_PKG_VERSION"));
         let mut writer = McapWriter::new(out, program)?;
@@ -52,7 +52,8 @@ impl Playback<'_> {
         if let Some(first_ns) = times.min() {
             self.write_results(&mut writer, first_ns)?;
         }
-        // keyframes are in the order in which they were made: those of frames before the start come later
+        // keyframes are in the order in which they were made: those of frames before the start come
+        // later
         let mut keyframes: Vec<_> = self.keyframes.iter().collect();
         keyframes.sort_by_key(|keyframe| keyframe.timestamp_ns);
         let mut keyframes = keyframes.into_iter().peekable();

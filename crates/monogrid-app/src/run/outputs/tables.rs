@@ -15,8 +15,10 @@ use monogrid_mapping::z_up_from_camera_world;
 use monogrid_slam::{FrameReport, TrajectoryPose};
 use std::fmt::Write;
 
-/// Writes `trajectory.txt`, `trajectory_fragment_N.txt`, `trajectory_live.txt`, `trajectory_odometry.txt`, `frames.csv`,
-/// `keyframes.txt`, `trajectory_earlier.txt`, `map_from_world.txt`, `graph.g2o` (similarities, exact) and `graph_rigid.g2o` (poses alone, for viewers of other programs).
+/// Writes `trajectory.txt`, `trajectory_fragment_N.txt`, `trajectory_live.txt`,
+/// `trajectory_odometry.txt`, `frames.csv`, `keyframes.txt`, `trajectory_earlier.txt`,
+/// `map_from_world.txt`, `graph.g2o` (similarities, exact) and `graph_rigid.g2o` (poses alone, for
+/// viewers of other programs).
 pub fn write_tables(
     folder: &OutputFolder,
     tracked: &Tracked,
@@ -53,7 +55,8 @@ pub fn write_tables(
     folder.write("graph_rigid.g2o", g2o::write_rigid(&graph))
 }
 
-/// Writes `trajectory_bridged.txt`: frames that no image has a pose for, as an inertial sensor has them.
+/// Writes `trajectory_bridged.txt`: frames that no image has a pose for, as an inertial sensor has
+/// them.
 pub fn write_bridged(
     folder: &OutputFolder,
     poses: &[TimedPose],

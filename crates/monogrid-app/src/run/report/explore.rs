@@ -11,8 +11,8 @@ use monogrid_report::explorer::{
 use monogrid_slam::TrackingState;
 use std::collections::BTreeMap;
 
-/// Keyframes that are farther apart in number than this and that the graph holds together are a loop; nearer ones are
-/// neighbours anyway.
+/// Keyframes that are farther apart in number than this and that the graph holds together are a
+/// loop; nearer ones are neighbours anyway.
 const MIN_LOOP: u64 = 10;
 
 /// The scene of a run.

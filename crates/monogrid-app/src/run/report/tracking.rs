@@ -1,4 +1,5 @@
-//! How tracking went, frame by frame: states as colours, losses as a table, what was measured as plots.
+//! How tracking went, frame by frame: states as colours, losses as a table, what was measured as
+//! plots.
 
 use crate::run::tracking::frames::{FrameFate, FrameRow};
 use monogrid_report::svg::{Plot, Series};

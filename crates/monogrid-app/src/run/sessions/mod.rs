@@ -126,8 +126,8 @@ impl Earlier {
     }
 }
 
-/// The frame of the results that lie beside a recording: what a map of it, or a run that goes on with it, has in common with
-/// them. `None` where there are none.
+/// The frame of the results that lie beside a recording: what a map of it, or a run that goes on
+/// with it, has in common with them. `None` where there are none.
 pub fn frame_beside(recording: &Path) -> Result<Option<Align>, Failure> {
     let folder = source::folder_of_run(recording);
     let frame_file = folder.join(MAP_FROM_WORLD);

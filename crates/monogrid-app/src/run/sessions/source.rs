@@ -16,7 +16,8 @@ pub struct Source {
 }
 
 impl Source {
-    /// What is meant by a path: a file itself; of a folder its recording, else its submaps, or those of the run in it.
+    /// What is meant by a path: a file itself; of a folder its recording, else its submaps, or
+    /// those of the run in it.
     pub fn find(path: &Path) -> Result<Self, Failure> {
         let found = if path.is_dir() {
             Self::in_folder(path)

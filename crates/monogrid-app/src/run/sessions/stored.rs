@@ -14,8 +14,8 @@ use monogrid_slam::{
 };
 use std::path::Path;
 
-/// The map of a recording. Keyframes at its end without a pose (the run was killed) are left out, and so are all
-/// after one of a fragment whose run was killed.
+/// The map of a recording. Keyframes at its end without a pose (the run was killed) are left out,
+/// and so are all after one of a fragment whose run was killed.
 pub(super) fn stored_map(
     recording: &Recording,
     continuation: &Continuation,

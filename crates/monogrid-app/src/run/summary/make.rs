@@ -127,8 +127,8 @@ fn count(tracked: &Tracked, test: fn(&FrameFate) -> bool) -> usize {
     tracked.rows.iter().filter(|row| test(&row.fate)).count()
 }
 
-/// CPU seconds of the stages: the CPU time of tracking, depth and graph together, divided as the wall
-/// time of their steps.
+/// CPU seconds of the stages: the CPU time of tracking, depth and graph together, divided as the
+/// wall time of their steps.
 fn stage_seconds(tracked: &Tracked) -> Seconds {
     let cpu = &tracked.cpu;
     let mut walls = [0.0; 3];

@@ -40,7 +40,8 @@ pub struct Seconds {
     pub recording: f64,
 }
 
-/// How long frames took that came at their own pace: from when the camera had one (but for decoding the first) to its pose, ms.
+/// How long frames took that came at their own pace: from when the camera had one (but for decoding
+/// the first) to its pose, ms.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Latency {
     /// Half of the frames took at most this.
@@ -154,10 +155,11 @@ pub struct Summary {
     pub graph_wait_ms: f64,
     /// Fragments that a lost camera began.
     pub fragments: Vec<FragmentSummary>,
-    /// The fragment that is the map in the end, since it is much larger than the first one, which has its name in `fragments`; `null`
-    /// where the first one is the map.
+    /// The fragment that is the map in the end, since it is much larger than the first one, which
+    /// has its name in `fragments`; `null` where the first one is the map.
     pub map_was_fragment: Option<u32>,
-    /// Parts of the map that know of each other only by tracked motion; 1 where points and alignments hold all of it together.
+    /// Parts of the map that know of each other only by tracked motion; 1 where points and
+    /// alignments hold all of it together.
     pub parts: usize,
     /// Losses after which the map went on with frames that both sides know.
     pub bridges: Vec<Bridge>,

@@ -100,7 +100,8 @@ const LOST_FOR_GOOD_SECS: f64 = 1.0;
 /// And at least so many frames.
 const LOST_FOR_GOOD_FRAMES: usize = 10;
 
-/// What the last second of a run, or more of it, has instead of poses in the map: a fragment at least in part, or nothing.
+/// What the last second of a run, or more of it, has instead of poses in the map: a fragment at
+/// least in part, or nothing.
 fn end_of(rows: &[FrameRow]) -> Option<TrackingState> {
     let reports: Vec<_> = rows.iter().filter_map(FrameRow::report).collect();
     let num_lost = rows.iter().rev().filter(|row| row.report().is_some());

@@ -1,4 +1,5 @@
-//! What became of the frames of a run, kept on disk while the run goes on: memory does not grow with its length.
+//! What became of the frames of a run, kept on disk while the run goes on: memory does not grow
+//! with its length.
 
 use crate::process::failure::{Classify, Failure};
 use crate::run::tracking::frames::FrameRow;
@@ -10,8 +11,8 @@ use std::path::Path;
 /// Rows that are written at once.
 const BLOCK: usize = 256;
 
-/// The rows of a run in their order: the last ones in memory, those before in a file without a name, which is gone with
-/// the program however that ends.
+/// The rows of a run in their order: the last ones in memory, those before in a file without a
+/// name, which is gone with the program however that ends.
 #[derive(Debug)]
 pub struct FrameLog {
     /// `None`: it cannot be written, and all rows that come stay in memory.
@@ -48,8 +49,8 @@ impl FrameLog {
         }
     }
 
-    /// Reads what was written whole back into memory, where all rows stay from now on; where that fails too, nothing
-    /// changes, and the next row is another attempt.
+    /// Reads what was written whole back into memory, where all rows stay from now on; where that
+    /// fails too, nothing changes, and the next row is another attempt.
     fn stay_in_memory(&mut self) {
         if let Ok(mut rows) = self.read_back() {
             rows.append(&mut self.recent);

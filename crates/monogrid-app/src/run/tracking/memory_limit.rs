@@ -1,8 +1,9 @@
 //! `--memory-limit`: keyframes get the room that everything else leaves.
 //!
-//! That is looked at with every keyframe. Before the last adjustment, which takes much itself, what only more frames would need is given
-//! back (`Slam::conclude`); what comes after the final depth (colours, clouds, report) takes one keyframe after the other. What grows
-//! with the path all the same is small: corners and descriptors, points, edges.
+//! That is looked at with every keyframe. Before the last adjustment, which takes much itself, what
+//! only more frames would need is given back (`Slam::conclude`); what comes after the final depth
+//! (colours, clouds, report) takes one keyframe after the other. What grows with the path all the
+//! same is small: corners and descriptors, points, edges.
 
 use crate::process::memory;
 use crate::process::usage::rss_bytes;
@@ -18,7 +19,8 @@ const LEAST_ROOM: u64 = 8_000_000;
 pub struct MemoryLimit(pub u64);
 
 impl MemoryLimit {
-    /// Gives the keyframes of a system as much room as is left now. What is in memory changes no result.
+    /// Gives the keyframes of a system as much room as is left now. What is in memory changes no
+    /// result.
     pub fn apply(self, slam: &Slam) {
         self.apply_to(&slam.room());
     }
@@ -31,8 +33,8 @@ impl MemoryLimit {
         keyframes.give(self.room(resident, keyframes.bytes_in_memory() as u64) as usize);
     }
 
-    /// For work that needs none of the keyframes of a system, or one after the other: they have the least room where some have had to
-    /// leave memory already.
+    /// For work that needs none of the keyframes of a system, or one after the other: they have the
+    /// least room where some have had to leave memory already.
     pub fn squeeze(self, slam: &Slam) {
         if slam.map_size().bytes.in_file == 0 {
             return self.apply(slam);
@@ -41,7 +43,8 @@ impl MemoryLimit {
         memory::give_back();
     }
 
-    /// What keyframes may take of a process that takes `resident` bytes, `kept` of them for keyframes.
+    /// What keyframes may take of a process that takes `resident` bytes, `kept` of them for
+    /// keyframes.
     fn room(self, resident: u64, kept: u64) -> u64 {
         let others = resident.saturating_sub(kept);
         let usable = (self.0 as f64 * SHARE) as u64;

@@ -40,7 +40,8 @@ use std::time::{Duration, Instant};
 pub enum EarlyEnd {
     /// The user interrupted it.
     Interrupted,
-    /// So many frames in a row were unreadable, too many or all that there are; the reason of the last.
+    /// So many frames in a row were unreadable, too many or all that there are; the reason of the
+    /// last.
     Unreadable(usize, String),
     /// The source could not be read any further, and why.
     BrokeOff(String),
@@ -168,7 +169,8 @@ impl<'a> Tracking<'a> {
         }
     }
 
-    /// Does with a frame what can be done with it; also when it was known where it is, or that it is nowhere.
+    /// Does with a frame what can be done with it; also when it was known where it is, or that it
+    /// is nowhere.
     fn fate(&mut self, frame: ReadFrame) -> (FrameFate, Instant) {
         let fate = match frame.image {
             Some(Ok(image)) => {
@@ -290,7 +292,8 @@ impl<'a> Tracking<'a> {
         }
     }
 
-    /// What the map says against the calibration, in sentences; nothing where a part of the program has failed.
+    /// What the map says against the calibration, in sentences; nothing where a part of the program
+    /// has failed.
     fn camera_warnings(&mut self, rows: &[FrameRow]) -> Vec<String> {
         if matches!(self.early_end, Some(EarlyEnd::Failed(_))) {
             return Vec::new();
@@ -316,7 +319,8 @@ impl<'a> Tracking<'a> {
         warnings
     }
 
-    /// After the last frame: everything that was found. Given the CPU time of the reader, and of the process before the first frame.
+    /// After the last frame: everything that was found. Given the CPU time of the reader, and of
+    /// the process before the first frame.
     pub fn finish(
         mut self,
         reading: Duration,

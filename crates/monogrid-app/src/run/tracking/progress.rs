@@ -87,7 +87,8 @@ impl Progress {
     }
 }
 
-/// Does work that counts its keyframes, and says meanwhile how far it is and how long it will take; `look` is called each time.
+/// Does work that counts its keyframes, and says meanwhile how far it is and how long it will take;
+/// `look` is called each time.
 pub fn watched<T>(
     (what, num_keyframes): (&str, usize),
     show: bool,

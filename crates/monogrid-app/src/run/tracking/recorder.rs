@@ -1,7 +1,7 @@
 //! What is saved while a run goes on: the recording and the pictures of keyframes.
 //!
-//! The recording has the depth of the filter, before mapping has made anything of it: `monogrid map` builds the map of the run again,
-//! byte for byte, or another one.
+//! The recording has the depth of the filter, before mapping has made anything of it:
+//! `monogrid map` builds the map of the run again, byte for byte, or another one.
 
 use crate::keyframe_colours::ColourSource;
 use crate::output::{Content, OutputFolder};

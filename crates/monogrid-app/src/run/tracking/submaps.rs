@@ -1,6 +1,7 @@
 //! `--submaps`: finished keyframes in files that never change, and where the graph has them.
 //!
-//! They hold the records of the recording and are written beside it; commands read either (`sessions::Source`).
+//! They hold the records of the recording and are written beside it; commands read either
+//! (`sessions::Source`).
 
 use crate::process::failure::{Classify, Failure};
 use crate::run::tracking::recorder::{depth_revision, keyframe_record, loaded};
@@ -15,13 +16,14 @@ use monogrid_slam::{KeptKeyframe, PoseSnapshot};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// When keyframes are closed into a submap: the oldest `keyframes` that are open, as soon as `newest` others are. Depth that became better
-/// later goes into the next submap.
+/// When keyframes are closed into a submap: the oldest `keyframes` that are open, as soon as
+/// `newest` others are. Depth that became better later goes into the next submap.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SubmapPolicy {
     /// Keyframes of a submap, at least 1; fewer where a fragment ends.
     pub keyframes: usize,
-    /// The newest keyframes, which stay open: depth becomes better where the camera comes back, and mostly it does so soon.
+    /// The newest keyframes, which stay open: depth becomes better where the camera comes back, and
+    /// mostly it does so soon.
     pub newest: usize,
 }
 

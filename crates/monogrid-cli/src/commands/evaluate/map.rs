@@ -26,9 +26,11 @@ use std::path::{Path, PathBuf};
 /// `monogrid evaluate map`.
 #[derive(Debug, Args)]
 pub struct EvaluateMapArgs {
-    /// Estimated map (.ot; a .bt has no probabilities to rank), or a recording (.mgk), submaps (submaps.json) or a run to map
+    /// Estimated map (.ot; a .bt has no probabilities to rank), or a recording (.mgk), submaps
+    /// (submaps.json) or a run to map
     pub estimate: PathBuf,
-    /// True map (.ot or .bt); its cells as large as the estimate's, or a whole number of times smaller
+    /// True map (.ot or .bt); its cells as large as the estimate's, or a whole number of times
+    /// smaller
     pub truth: PathBuf,
     /// Surfaces this close agree [default: 0.05 or the edge of a cell, whichever is larger]
     #[arg(long, value_name = "L", value_parser = positive)]
@@ -39,8 +41,8 @@ pub struct EvaluateMapArgs {
     /// Bring the poses of the recording to the frame of a reference, as when the map was made
     #[arg(long, value_name = "gt:FILE|sim3:FILE")]
     pub align: Option<String>,
-    /// Then bring the points of the recording onto the surfaces of the true map, by a similarity that begins at the poses: references
-    /// can be off by more than a cell
+    /// Then bring the points of the recording onto the surfaces of the true map, by a similarity
+    /// that begins at the poses: references can be off by more than a cell
     #[arg(long)]
     pub align_points: bool,
     /// Cells farther from every keyframe do not count as seen
@@ -65,7 +67,8 @@ pub struct EvaluateMapArgs {
 pub struct EvaluatePathsArgs {
     /// Estimated map (.ot or .bt)
     pub estimate: PathBuf,
-    /// True map (.ot or .bt); its cells as large as the estimate's, or a whole number of times smaller
+    /// True map (.ot or .bt); its cells as large as the estimate's, or a whole number of times
+    /// smaller
     pub truth: PathBuf,
     /// Radius of the ball that the robot fills
     #[arg(long, value_name = "L", value_parser = positive, default_value_t = 0.15)]
@@ -144,8 +147,8 @@ struct Evaluated {
     alignment: Option<SurfaceAlignment>,
 }
 
-/// The map of a recording by its own settings and the options, and how its points were brought onto the surfaces of the truth, where
-/// that is asked for: the recording is in that frame then.
+/// The map of a recording by its own settings and the options, and how its points were brought onto
+/// the surfaces of the truth, where that is asked for: the recording is in that frame then.
 fn mapped(
     recorded: &mut Recorded,
     args: &EvaluateMapArgs,
@@ -202,7 +205,8 @@ fn print_alignment(alignment: &SurfaceAlignment) {
     );
 }
 
-/// The thesis' alignment: the finished map is turned, scaled and resampled into the cells of the truth.
+/// The thesis' alignment: the finished map is turned, scaled and resampled into the cells of the
+/// truth.
 fn rotated_and_scaled(
     estimate: &OccupancyMap,
     truth: &TruthGrid,
@@ -233,7 +237,8 @@ pub fn paths(args: &EvaluatePathsArgs) -> CommandResult {
     args.json.print(&report, || print_paths(&report))
 }
 
-/// The truth with cells as large as those of the estimate, where a whole number of its own makes one.
+/// The truth with cells as large as those of the estimate, where a whole number of its own makes
+/// one.
 fn fitted(map: &OccupancyMap, truth: TruthGrid, path: &Path) -> Result<TruthGrid, Failure> {
     let truth = truth.with_cells_of(map).with_context(|| name_of(path));
     truth.bad_input()

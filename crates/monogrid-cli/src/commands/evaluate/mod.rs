@@ -73,7 +73,8 @@ pub struct EvaluateDepthArgs {
     /// Compare depth made better by the keyframes around each, at the final poses
     #[arg(long, conflicts_with = "mapped")]
     pub refined: bool,
-    /// Compare the depth that the final map is made of: refined, filled where surfaces are plain, fused and filtered
+    /// Compare the depth that the final map is made of: refined, filled where surfaces are plain,
+    /// fused and filtered
     #[arg(long)]
     pub mapped: bool,
     /// With --mapped, change one setting of the map, e.g. --set mapping.quality=fast
@@ -112,7 +113,8 @@ pub fn trajectory(args: &EvaluateTrajectoryArgs) -> CommandResult {
     args.json.print(&report, || print_trajectory(&report))
 }
 
-/// Times of the frames of the run whose results lie in the same folder; `None` where there are none.
+/// Times of the frames of the run whose results lie in the same folder; `None` where there are
+/// none.
 fn frame_times_ns(table: &Path) -> Option<Vec<i64>> {
     let text = String::from_utf8(read_file(table, MAX_TABLE_BYTES).ok()?).ok()?;
     let mut lines = text.lines();
@@ -211,7 +213,8 @@ fn compare(
         ) else {
             continue;
         };
-        // a run is metric because its first keyframe was given true depth: that would be compared with itself
+        // a run is metric because its first keyframe was given true depth: that would be compared
+        // with itself
         if keyframe.id == 0 && session.scale == Scale::Metric {
             seeded_left_out += 1;
             continue;
@@ -239,7 +242,8 @@ fn compare(
     })
 }
 
-/// Adds a keyframe, its image, depth and length of its unit, and its true depth (z, NaN where unknown, in its camera).
+/// Adds a keyframe, its image, depth and length of its unit, and its true depth (z, NaN where
+/// unknown, in its camera).
 pub fn add_keyframe(
     evaluator: &mut DepthEvaluator,
     id: u32,

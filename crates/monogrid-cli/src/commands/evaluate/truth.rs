@@ -38,7 +38,8 @@ pub struct TruthArgs {
     /// [default: groundtruth.txt of a folder, the built-in motion of a world]
     #[arg(long, value_name = "FILE")]
     pub trajectory: Option<PathBuf>,
-    /// Points of a cloud fill all cells within this distance, at least half their spacing [default: 0]
+    /// Points of a cloud fill all cells within this distance, at least half their spacing [default:
+    /// 0]
     #[arg(long, value_name = "L", value_parser = positive)]
     pub splat_radius: Option<f64>,
     /// Holes of the surface up to twice this many cells wide are closed

@@ -160,7 +160,8 @@ impl Layers {
     }
 }
 
-/// The header of an array of little-endian 32-bit floats, version 1.0 of the format (numpy.lib.format).
+/// The header of an array of little-endian 32-bit floats, version 1.0 of the format
+/// (numpy.lib.format).
 fn npy_header(shape: &[usize]) -> Vec<u8> {
     const MAGIC: &[u8] = b"\x93NUMPY\x01\x00";
     let sides: Vec<String> = shape.iter().map(usize::to_string).collect();

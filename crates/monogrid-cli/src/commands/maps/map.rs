@@ -26,7 +26,8 @@ use std::time::{Duration, Instant};
 /// `monogrid map`.
 #[derive(Debug, Args)]
 pub struct MapArgs {
-    /// Recording (.mgk), submaps (submaps.json, or one .mgs in its own frame), the folder of a run, scans (.scans) or a folder in TUM layout with depth images
+    /// Recording (.mgk), submaps (submaps.json, or one .mgs in its own frame), the folder of a run,
+    /// scans (.scans) or a folder in TUM layout with depth images
     pub recording: PathBuf,
     /// Map to write: .ot (probabilities), .bt (occupied, free) or .mgo (exact, small)
     #[arg(long, value_name = "MAP.{ot,bt,mgo}")]
@@ -34,7 +35,8 @@ pub struct MapArgs {
     /// Write a picture of the map as well
     #[arg(long, value_name = "OUT.png")]
     pub png: Option<PathBuf>,
-    /// Write the surface of the map as well; in the colours of the keyframes where the map is made of a recording
+    /// Write the surface of the map as well; in the colours of the keyframes where the map is made
+    /// of a recording
     #[arg(long, value_name = "OUT.{ply,glb}")]
     pub mesh: Option<PathBuf>,
     #[command(flatten)]
@@ -159,8 +161,9 @@ impl Files {
 }
 
 impl Built {
-    /// Nothing yet of measurements whose poses and sigmas are given; how they are added to the map, and the frame of the map. There is
-    /// neither a range limit nor an uncertainty of the pose, unless asked for.
+    /// Nothing yet of measurements whose poses and sigmas are given; how they are added to the map,
+    /// and the frame of the map. There is neither a range limit nor an uncertainty of the pose,
+    /// unless asked for.
     fn nothing(
         args: &MapArgs,
         align: &Align,
@@ -265,7 +268,8 @@ impl Kind {
     }
 }
 
-/// The settings: those of a file where one is named, else the usual ones, else those of the profile; then the options.
+/// The settings: those of a file where one is named, else the usual ones, else those of the
+/// profile; then the options.
 fn settings(args: &MapArgs, usual: Option<RunConfig>) -> Result<RunConfig, Failure> {
     let config = match usual {
         Some(usual) if args.config.is_none() => usual,

@@ -30,8 +30,8 @@ pub struct PosedDepthFolder {
 }
 
 impl PosedDepthFolder {
-    /// Opens a folder in TUM layout. Depth is brought into the colour camera where there is one, since
-    /// poses are those of the colour camera.
+    /// Opens a folder in TUM layout. Depth is brought into the colour camera where there is one,
+    /// since poses are those of the colour camera.
     pub fn open(
         folder: &Path,
         depth_calibration_file: Option<&Path>,

@@ -97,7 +97,8 @@ pub struct ProjectArgs {
 pub struct ConvertArgs {
     /// Map to read (.ot, .bt or .mgo)
     pub input: PathBuf,
-    /// File to write (.ot, .bt, .mgo, .ply or .pcd); point clouds hold the centres of occupied cells
+    /// File to write (.ot, .bt, .mgo, .ply or .pcd); point clouds hold the centres of occupied
+    /// cells
     pub output: PathBuf,
     #[command(flatten)]
     pub write: WriteArgs,

@@ -25,7 +25,8 @@ use std::time::Duration;
 /// `monogrid batch`.
 #[derive(Debug, Args)]
 pub struct BatchArgs {
-    /// Lists of recordings (.txt, .tsv, - for standard input), recordings, and folders of recordings
+    /// Lists of recordings (.txt, .tsv, - for standard input), recordings, and folders of
+    /// recordings
     #[arg(required = true, value_name = "LIST|SOURCE|FOLDER")]
     pub sources: Vec<PathBuf>,
     /// Output folder; a batch that was interrupted goes on where it was
@@ -34,19 +35,22 @@ pub struct BatchArgs {
     /// Write into the folder although it holds other files; those of the same names are replaced
     #[arg(long)]
     pub force: bool,
-    /// Option of `monogrid run` for all recordings of which the list says nothing else, e.g. --each max-frames=300
+    /// Option of `monogrid run` for all recordings of which the list says nothing else, e.g. --each
+    /// max-frames=300
     #[arg(long, value_name = "KEY=VALUE")]
     pub each: Vec<String>,
     /// Recordings at once [default: all cores]; the results do not depend on it
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Resources")]
     pub jobs: Option<u16>,
-    /// Threads of each run [default: the cores, shared by those at once]; the results do not depend on it
+    /// Threads of each run [default: the cores, shared by those at once]; the results do not depend
+    /// on it
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Resources")]
     pub threads: Option<u16>,
     /// Memory that all runs may take together, GB [default: 80 % of what is free]
     #[arg(long, value_name = "GB", value_parser = positive, help_heading = "Resources")]
     pub memory: Option<f64>,
-    /// Stop a run that takes longer, seconds; what it has mapped until then is saved [default: never]
+    /// Stop a run that takes longer, seconds; what it has mapped until then is saved [default:
+    /// never]
     #[arg(long, value_name = "S", value_parser = positive, help_heading = "Resources")]
     pub timeout: Option<f64>,
     /// Do recordings of these classes again although nothing has changed

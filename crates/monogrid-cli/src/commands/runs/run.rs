@@ -1,4 +1,5 @@
-//! `monogrid run`: what the command line asks for, put together and checked before anything is computed.
+//! `monogrid run`: what the command line asks for, put together and checked before anything is
+//! computed.
 
 use crate::commands::{use_threads, warn};
 use clap::Args;
@@ -29,16 +30,17 @@ use std::time::Duration;
 /// `monogrid run`.
 #[derive(Debug, Args)]
 pub struct RunArgs {
-    /// Video, camera (/dev/video0), address of a stream, - (YUV4MPEG2 on standard input), folder in TUM
-    /// RGB-D or EuRoC layout, or any folder of images
+    /// Video, camera (/dev/video0), address of a stream, - (YUV4MPEG2 on standard input), folder in
+    /// TUM RGB-D or EuRoC layout, or any folder of images
     pub source: PathBuf,
     #[command(flatten)]
     pub input: SourceArgs,
-    /// Refine the focal length, the principal point and the radial distortion of the calibration by a first pass over
-    /// the video (the camera of a video without calibration always is)
+    /// Refine the focal length, the principal point and the radial distortion of the calibration by
+    /// a first pass over the video (the camera of a video without calibration always is)
     #[arg(long, conflicts_with = "continue_from", help_heading = "Input")]
     pub refine_calibration: bool,
-    /// Go on with the map of an earlier run: recognise the camera in it, extend it; the result holds both
+    /// Go on with the map of an earlier run: recognise the camera in it, extend it; the result
+    /// holds both
     #[arg(
         long = "continue",
         value_name = "DIR",
@@ -55,7 +57,8 @@ pub struct RunArgs {
     /// Write into the folder although it holds other files; those of the same names are replaced
     #[arg(long, help_heading = "Output")]
     pub force: bool,
-    /// Write the run as messages of ROS 2 too, for Foxglove and Rerun: poses, images and points of keyframes, the map
+    /// Write the run as messages of ROS 2 too, for Foxglove and Rerun: poses, images and points of
+    /// keyframes, the map
     #[arg(
         long,
         value_name = "FILE.mcap",
@@ -65,7 +68,8 @@ pub struct RunArgs {
     pub mcap: Option<PathBuf>,
     #[command(flatten)]
     pub json: JsonArg,
-    /// Start from the depth image of the first frame: the dataset's own, or a file; makes the scale metric
+    /// Start from the depth image of the first frame: the dataset's own, or a file; makes the scale
+    /// metric
     #[arg(long, value_name = "FILE|dataset", help_heading = "Input")]
     pub seed_depth: Option<String>,
     /// Intrinsics and scale of depth images [default: calibration_depth.txt in the source]
@@ -91,30 +95,32 @@ pub struct RunArgs {
     /// Build the final maps in the frame of a reference: a trajectory, or a Sim(3) file
     #[arg(long, value_name = "gt:FILE|sim3:FILE", help_heading = "Mapping")]
     pub align: Option<String>,
-    /// What z is in the results: what the scene says, else as the first camera was held [default: scene]; or a direction in
-    /// the first camera (x right, y down, z ahead)
+    /// What z is in the results: what the scene says, else as the first camera was held [default:
+    /// scene]; or a direction in the first camera (x right, y down, z ahead)
     #[arg(long, value_name = "scene|first-camera|X,Y,Z", value_parser = Up::parse, allow_hyphen_values = true,
           conflicts_with = "continue_from", help_heading = "Mapping")]
     pub up: Option<Up>,
-    /// Play frames at their own pace; where tracking is slower, they wait for at most this long before some are dropped, evenly
-    /// [milliseconds, 0 to 60000: 200]
+    /// Play frames at their own pace; where tracking is slower, they wait for at most this long
+    /// before some are dropped, evenly [milliseconds, 0 to 60000: 200]
     #[arg(long, value_name = "MS", num_args = 0..=1, default_missing_value = "200", require_equals = true,
           value_parser = clap::value_parser!(u64).range(..=60_000), help_heading = "Input")]
     pub realtime: Option<u64>,
-    /// Show the run while it goes on: in a browser of this computer [port: any that is free]; with rerun in the Rerun viewer, with
-    /// rrd=FILE in a file for it (both by the program monogrid-rerun)
+    /// Show the run while it goes on: in a browser of this computer [port: any that is free]; with
+    /// rerun in the Rerun viewer, with rrd=FILE in a file for it (both by the program
+    /// monogrid-rerun)
     #[arg(long, value_name = "PORT|rerun|rrd=FILE", num_args = 0..=1, default_missing_value = "0", require_equals = true,
           value_parser = View::parse, help_heading = "Output")]
     pub view: Option<View>,
     /// Threads of computation [default: all cores]; the results do not depend on it
     #[arg(long, value_name = "N", help_heading = "Settings")]
     pub threads: Option<usize>,
-    /// Memory to stay within, e.g. 500MB: keyframes lie in a file of the output folder as far as there is no room; the results do not
-    /// depend on it
+    /// Memory to stay within, e.g. 500MB: keyframes lie in a file of the output folder as far as
+    /// there is no room; the results do not depend on it
     #[arg(long, value_name = "SIZE", value_parser = memory, help_heading = "Settings")]
     pub memory_limit: Option<u64>,
-    /// Close finished keyframes into files that never change while the run goes on, beside the recording: submaps/*.mgs, and
-    /// submaps/submaps.json, which says where they lie [keyframes of each, 1 to 1000: 16]
+    /// Close finished keyframes into files that never change while the run goes on, beside the
+    /// recording: submaps/*.mgs, and submaps/submaps.json, which says where they lie [keyframes of
+    /// each, 1 to 1000: 16]
     #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "16", require_equals = true,
           value_parser = clap::value_parser!(u16).range(1..=1000), conflicts_with = "localise_only", help_heading = "Output")]
     pub submaps: Option<u16>,
@@ -194,8 +200,8 @@ pub fn configuration(args: &RunArgs, earlier: Option<&Earlier>) -> Result<RunCon
     Ok(config)
 }
 
-/// `slam.graph.lag_frames` with `--realtime`, where nothing else is asked for: an optimisation that takes longer than the usual lag lets
-/// no frame wait.
+/// `slam.graph.lag_frames` with `--realtime`, where nothing else is asked for: an optimisation that
+/// takes longer than the usual lag lets no frame wait.
 const REALTIME_LAG_FRAMES: usize = 8;
 
 /// Profile and file; the settings of the continued run where no profile or file is named.

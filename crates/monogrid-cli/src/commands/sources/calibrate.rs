@@ -40,8 +40,8 @@ pub struct CalibrateArgs {
     /// Inner corners of the board, where four squares meet [default: as most images show]
     #[arg(long, value_name = "NxM", value_parser = board_size)]
     pub board: Option<BoardSize>,
-    /// Look for a grid of AprilTags (36h11, small black squares between them) of so many columns and rows, of which a part
-    /// may be seen
+    /// Look for a grid of AprilTags (36h11, small black squares between them) of so many columns
+    /// and rows, of which a part may be seen
     #[arg(long, value_name = "NxM", value_parser = tag_columns_and_rows, conflicts_with = "board")]
     pub aprilgrid: Option<BoardSize>,
     /// Gap between two tags over the side of a tag
@@ -110,7 +110,8 @@ struct CalibrateReport {
     out: PathBuf,
 }
 
-/// Finds the board in all frames, calibrates, and writes `calibration.txt` (or `.toml`) and `residuals.svg`.
+/// Finds the board in all frames, calibrates, and writes `calibration.txt` (or `.toml`) and
+/// `residuals.svg`.
 pub fn execute(args: &CalibrateArgs) -> CommandResult {
     let source = SourceArgs {
         start: args.start,
@@ -262,7 +263,8 @@ fn residuals(found: &TargetCalibration) -> Plot {
     }
 }
 
-/// Lines of two points each as series so short that none of them is thinned; the first has the name.
+/// Lines of two points each as series so short that none of them is thinned; the first has the
+/// name.
 fn whole_series(name: &str, colour: usize, points: &[[f64; 2]]) -> Vec<Series> {
     let chunks = points.chunks(900).enumerate();
     chunks

@@ -39,8 +39,8 @@ fn frame_count(text: &str) -> Result<usize, String> {
 /// `monogrid synth`.
 #[derive(Debug, Args)]
 pub struct SynthArgs {
-    /// Built-in world (living-room, office, machine-hall, corridor-loop, blank-walls, stairs, street) or a mesh
-    /// (.ply, .obj) together with --trajectory
+    /// Built-in world (living-room, office, machine-hall, corridor-loop, blank-walls, stairs,
+    /// street) or a mesh (.ply, .obj) together with --trajectory
     pub world: PathBuf,
     /// Output folder
     #[arg(long, value_name = "DIR")]
@@ -48,7 +48,8 @@ pub struct SynthArgs {
     /// Write into the folder although it holds other files; those of the same names are replaced
     #[arg(long)]
     pub force: bool,
-    /// Built-in motion: hand, drone, car, hand-back, drone-back, car-back [default: hand; in the street, car]
+    /// Built-in motion: hand, drone, car, hand-back, drone-back, car-back [default: hand; in the
+    /// street, car]
     #[arg(long, value_name = "NAME", conflicts_with = "trajectory")]
     pub motion: Option<String>,
     /// Motion of the camera: poses in the frame of the world
@@ -84,7 +85,8 @@ pub struct SynthArgs {
     /// Edge of the cells of the truth map truth.ot
     #[arg(long, value_name = "L", value_parser = positive, default_value_t = 0.05)]
     pub truth_resolution: f64,
-    /// Write the readings of an inertial sensor beside the camera too, as mav0/imu0 in EuRoC's layout, with the errors of a phone's
+    /// Write the readings of an inertial sensor beside the camera too, as mav0/imu0 in EuRoC's
+    /// layout, with the errors of a phone's
     #[arg(long)]
     pub imu: bool,
     /// Light the world coarsely, in a moment

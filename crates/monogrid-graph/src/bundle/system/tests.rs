@@ -8,8 +8,9 @@ use crate::bundle::{
 };
 use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3, Vec6};
 
-/// A camera that moves sideways past a wall; each point is seen by its host and the four keyframes after it. The first pose is
-/// fixed, the distance of the last to it held, and what was seen is a little off.
+/// A camera that moves sideways past a wall; each point is seen by its host and the four keyframes
+/// after it. The first pose is fixed, the distance of the last to it held, and what was seen is a
+/// little off.
 fn chain(num_keyframes: usize) -> BundleProblem {
     let pinhole = Pinhole::new(300.0, 300.0, 160.0, 120.0);
     let pose = |k: usize| Se3::exp(&Vec6::new(-0.2 * k as f64, 0.0, 0.0, 0.0, 0.01, 0.0));

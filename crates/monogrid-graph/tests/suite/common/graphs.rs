@@ -39,8 +39,8 @@ pub struct RandomGraph {
     pub extent: f64,
 }
 
-/// A wandering camera whose keyframes have different scales, noisy measurements with true information
-/// matrices, and starting poses that chain the measured odometry.
+/// A wandering camera whose keyframes have different scales, noisy measurements with true
+/// information matrices, and starting poses that chain the measured odometry.
 pub fn random_graph(options: &GraphOptions) -> RandomGraph {
     let mut random = Random(options.seed);
     let truth = wander(&mut random, options.nodes);

@@ -176,7 +176,8 @@ pub fn worst_rotation_error(estimated: &[Se3], truth: &[Se3]) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// CPU seconds of this thread where Linux tells them, so that other programs do not disturb; else wall.
+/// CPU seconds of this thread where Linux tells them, so that other programs do not disturb; else
+/// wall.
 pub fn cpu_seconds(start: &std::time::Instant) -> f64 {
     let stat = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
     let nanoseconds = stat

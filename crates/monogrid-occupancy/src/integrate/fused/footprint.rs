@@ -82,8 +82,8 @@ impl Footprints {
         }
     }
 
-    /// Writes the evidence for the touched octants of the brick around `center` (relative to the sensor, world axes) into
-    /// that of its cells; 0 where the scan says nothing.
+    /// Writes the evidence for the touched octants of the brick around `center` (relative to the
+    /// sensor, world axes) into that of its cells; 0 where the scan says nothing.
     pub(crate) fn evidence(
         &self,
         center: [f32; 3],

@@ -1,15 +1,14 @@
 //! The rule `fused`: one update per cell and scan.
 //!
-//! Flow: measurements, or a depth image as it is (`depth_image`) -> range images with bounds over windows
-//! of pixels -> cubes are split, down to 4 x 4 x 4 cells, only where the bounds cannot tell what their cells
-//! get (`search`) -> free bricks
-//! get one addition, mixed ones an update per cell from the measurements in the cell's footprint, shard
-//! by shard (`writer`). A brick that is saturated free and can only become freer costs a look into the
-//! directory.
+//! Flow: measurements, or a depth image as it is (`depth_image`) -> range images with bounds over
+//! windows of pixels -> cubes are split, down to 4 x 4 x 4 cells, only where the bounds cannot tell
+//! what their cells get (`search`) -> free bricks get one addition, mixed ones an update per cell
+//! from the measurements in the cell's footprint, shard by shard (`writer`). A brick that is
+//! saturated free and can only become freer costs a look into the directory.
 //!
-//! All but the last step depends on the scan alone, so the next scans are prepared beside the writing
-//! of the present ones, and each shard is written scan by scan: the map is that of one scan after the
-//! other.
+//! All but the last step depends on the scan alone, so the next scans are prepared beside the
+//! writing of the present ones, and each shard is written scan by scan: the map is that of one scan
+//! after the other.
 
 pub(crate) mod footprint;
 pub(crate) mod octants;
@@ -131,8 +130,8 @@ pub(crate) fn integrate_fused(
     Ok(prepared.report)
 }
 
-/// Adds valid scans one after the other by the rule `fused`, each of which needs at most `bytes_per_scan` when it
-/// is prepared; on an error, those before it.
+/// Adds valid scans one after the other by the rule `fused`, each of which needs at most
+/// `bytes_per_scan` when it is prepared; on an error, those before it.
 pub(crate) fn integrate_scans(
     map: &mut OccupancyMap,
     scans: &[Scan],

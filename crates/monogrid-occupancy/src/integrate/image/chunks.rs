@@ -112,7 +112,8 @@ impl Chunk {
         })
     }
 
-    /// Becomes a full chunk of points that are all usable, ahead and of one uncertainty, side by side; `false` for others.
+    /// Becomes a full chunk of points that are all usable, ahead and of one uncertainty, side by
+    /// side; `false` for others.
     fn read_points(&mut self, scan: &Scan, model: &mut RangeModel) -> bool {
         let ScanData::Points(PointScan { points, sigmas }) = scan.data else {
             return false;

@@ -1,18 +1,19 @@
-//! A complete depth image as a range image: pixel by pixel in their order, without a list of measurements.
+//! A complete depth image as a range image: pixel by pixel in their order, without a list of
+//! measurements.
 
 use crate::integrate::image::chunks::{RangeModel, WIDEST_SLOPE};
 use crate::integrate::image::{Filling, PIXELS_PER_CELL, RangeImage};
 use crate::scan::{DepthImage, Scan, ScanData};
 use crate::sensor::table::TableSet;
 
-/// Measurements along the edge of a pixel, at least: where the camera's pixels are so much finer, some stand for all. Their mean is
-/// then known better than a cell is large.
+/// Measurements along the edge of a pixel, at least: where the camera's pixels are so much finer,
+/// some stand for all. Their mean is then known better than a cell is large.
 const SAMPLES_PER_PIXEL: f64 = 3.0;
 /// The mean range, which decides how fine the image is, is that of one row in so many.
 const ROWS_PER_MEAN: usize = 8;
 
-/// The image of a scan that is a depth image, none if nothing is measured, and the number of its measurements; `None` for other scans
-/// and for cameras that see too much for one image.
+/// The image of a scan that is a depth image, none if nothing is measured, and the number of its
+/// measurements; `None` for other scans and for cameras that see too much for one image.
 pub(super) fn range_image(
     scan: &Scan,
     axes: [[f64; 3]; 3],
@@ -78,7 +79,8 @@ struct Depths<'a> {
 }
 
 impl Depths<'_> {
-    /// Column, row, range and its standard deviation (in sensor units) of the measurements in each so manyth column and row.
+    /// Column, row, range and its standard deviation (in sensor units) of the measurements in each
+    /// so manyth column and row.
     #[inline]
     fn each(&self, steps: [usize; 2], mut take: impl FnMut(usize, usize, f64, f64)) {
         for (y, v) in self.rows.iter().enumerate().step_by(steps[1]) {

@@ -114,8 +114,8 @@ impl RangeImages {
 /// Axes (right, down, forward) of the image of a forward-looking sensor.
 pub(super) const FORWARD: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
-/// The nearest whole number of a value below 2^23, of one below 0 that is 0: without a conversion, of which a processor does one
-/// at a time.
+/// The nearest whole number of a value below 2^23, of one below 0 that is 0: without a conversion,
+/// of which a processor does one at a time.
 #[inline(always)]
 fn nearest(value: f32) -> u32 {
     const SHIFT: f32 = 8_388_608.0;
@@ -173,7 +173,8 @@ impl RangeImage {
 }
 
 impl Ballot {
-    /// Ranges of one surface are averaged; where they are not, the majority stays (Boyer and Moore's vote).
+    /// Ranges of one surface are averaged; where they are not, the majority stays (Boyer and
+    /// Moore's vote).
     #[inline(always)]
     fn with_vote_for(self, range: f32) -> Self {
         let Self { sum, votes } = self;
@@ -227,8 +228,8 @@ pub(super) struct Filling {
 }
 
 impl Filling {
-    /// An image without measurements between two slopes, with the focal lengths `native`, or in their proportion less: at most
-    /// `finest` along u.
+    /// An image without measurements between two slopes, with the focal lengths `native`, or in
+    /// their proportion less: at most `finest` along u.
     pub(super) fn new(
         axes: [[f64; 3]; 3],
         [low, high]: [[f32; 2]; 2],

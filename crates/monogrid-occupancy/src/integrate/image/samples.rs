@@ -1,7 +1,8 @@
 //! From measurements one by one to range images.
 //!
-//! How fine an image is depends on all measurements, so they are looked at twice. Points are converted again the second time, which takes
-//! less than to write them down and read them; pixels of a camera and the faces of a cube are kept.
+//! How fine an image is depends on all measurements, so they are looked at twice. Points are
+//! converted again the second time, which takes less than to write them down and read them; pixels
+//! of a camera and the faces of a cube are kept.
 
 use crate::integrate::IntegrationConfig;
 use crate::integrate::image::chunks::{Chunk, Extent, RangeModel, Sample, extent_of};
@@ -81,8 +82,8 @@ struct Measured<'a> {
 }
 
 impl Measured<'_> {
-    /// The extent of the samples of a sensor that looks forward, and themselves unless they are read again; `None` if some direction
-    /// is too far off.
+    /// The extent of the samples of a sensor that looks forward, and themselves unless they are
+    /// read again; `None` if some direction is too far off.
     fn look_forward(&self, threads: usize) -> Option<(Extent, Option<Vec<Chunk>>)> {
         let parts = (0..self.scan.len()).step_by(PART);
         let mut parts: Vec<(Scan, Option<Part>)> = parts
@@ -167,7 +168,8 @@ impl Measured<'_> {
         (faces, points)
     }
 
-    /// An image for samples of that extent, with as many measurements per pixel as leave few gaps, or the camera's own pixels.
+    /// An image for samples of that extent, with as many measurements per pixel as leave few gaps,
+    /// or the camera's own pixels.
     fn filling(&self, axes: Axes, extent: &Extent) -> Filling {
         let Extent { low, high, .. } = *extent;
         let native = self.scan.focal().unwrap_or_else(|| {

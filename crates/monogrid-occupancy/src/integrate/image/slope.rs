@@ -1,17 +1,20 @@
-//! How long the occupied band has to be along a line of sight so that it holds the cells that a surface passes through.
+//! How long the occupied band has to be along a line of sight so that it holds the cells that a
+//! surface passes through.
 //!
-//! A plane with the unit normal n passes through the cell of edge e around c where it lies at most e (|nx| + |ny| + |nz|) / 2 from c.
-//! Along a line of sight that makes the angle theta with n, these cells are a band of the length
+//! A plane with the unit normal n passes through the cell of edge e around c where it lies at most
+//! e (|nx| + |ny| + |nz|) / 2 from c. Along a line of sight that makes the angle theta with n,
+//! these cells are a band of the length
 //!
 //! ```text
 //! L = e (|nx| + |ny| + |nz|) / cos(theta)
 //! ```
 //!
-//! around the measured range: one cell for a wall along the axes that is looked at straight, and many for a floor that is looked along. A cell's
-//! diagonal, which serves all where no normal is known, is too much for the first and too little for the last.
+//! around the measured range: one cell for a wall along the axes that is looked at straight, and
+//! many for a floor that is looked along. A cell's diagonal, which serves all where no normal is
+//! known, is too much for the first and too little for the last.
 //!
-//! The inverse depth of a plane is affine in the slopes, w = a u + b v + c, and (a, b, c) is its normal: a x + b y + c z = 1. At the range r,
-//! cos(theta) = 1 / (r |(a, b, c)|).
+//! The inverse depth of a plane is affine in the slopes, w = a u + b v + c, and (a, b, c) is its
+//! normal: a x + b y + c z = 1. At the range r, cos(theta) = 1 / (r |(a, b, c)|).
 
 use crate::integrate::image::{HOLE, ONE_SURFACE, RangeImage};
 use crate::sensor::table::TableSet;
@@ -20,10 +23,12 @@ use crate::sensor::table::TableSet;
 const RADIUS: usize = 2;
 /// Fewest of these pixels that must be of one surface with it.
 const MIN_PIXELS: f32 = 8.0;
-/// Longest band, cells: surfaces are hardly measured under flatter angles, and noise looks like one.
+/// Longest band, cells: surfaces are hardly measured under flatter angles, and noise looks like
+/// one.
 const MOST_CELLS: f32 = 3.0;
 
-/// Gives each pixel of an image the table of a band that is long enough for the slope of its surface.
+/// Gives each pixel of an image the table of a band that is long enough for the slope of its
+/// surface.
 pub(super) fn band_by_slope(image: &mut RangeImage, tables: &mut TableSet, resolution: f64) {
     let surface = Surface::new(image);
     let cell = resolution as f32;
@@ -61,7 +66,8 @@ impl<'a> Surface<'a> {
         }
     }
 
-    /// Length of the band of a pixel with a range, in edges of a cell; `None` where too few pixels around it are of one surface with it.
+    /// Length of the band of a pixel with a range, in edges of a cell; `None` where too few pixels
+    /// around it are of one surface with it.
     fn band_cells(&self, pixel: usize) -> Option<f32> {
         let image = self.image;
         let [du, dv] = self.gradient(pixel)?;
@@ -76,7 +82,8 @@ impl<'a> Surface<'a> {
         Some(normal.iter().map(|n| n.abs()).sum::<f32>() * image.ranges[pixel])
     }
 
-    /// How the inverse depth changes from column to column and from row to row: of the plane by least squares.
+    /// How the inverse depth changes from column to column and from row to row: of the plane by
+    /// least squares.
     fn gradient(&self, pixel: usize) -> Option<[f32; 2]> {
         let (width, height) = (self.image.width, self.image.height);
         let (x, y) = (pixel % width, pixel / width);
@@ -157,7 +164,8 @@ mod tests {
     use crate::scan::{Scan, Similarity};
     use crate::sensor::table::KnownTables;
 
-    /// The image of a plane `normal x = distance` in the world, from its origin, the axes of the camera turned about the vertical.
+    /// The image of a plane `normal x = distance` in the world, from its origin, the axes of the
+    /// camera turned about the vertical.
     fn plane(normal: [f32; 3], distance: f32, turned: f64) -> RangeImage {
         let (sin, cos) = turned.sin_cos();
         let axes = [[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]];
@@ -220,7 +228,8 @@ mod tests {
             let Some(found) = surface.band_cells(pixel) else {
                 continue;
             };
-            // the middle of a cell at the end of the band is half the extent of a cell along the normal away
+            // the middle of a cell at the end of the band is half the extent of a cell along the
+            // normal away
             assert!((0.5 * found * cos - half).abs() < 2e-3 * half, "{pixel}");
             compared += 1;
         }
@@ -252,7 +261,8 @@ mod tests {
         assert_eq!(surface.band_cells(lonely), None);
     }
 
-    /// Cells of a map of one precise depth image of a plane: occupied ones that it passes through, all that it passes through, and occupied ones.
+    /// Cells of a map of one precise depth image of a plane: occupied ones that it passes through,
+    /// all that it passes through, and occupied ones.
     fn occupied(normal: [f64; 3], band_by_slope: bool) -> [usize; 3] {
         const CELL: f64 = 0.05;
         // a fifth of a cell off the middle of one

@@ -233,7 +233,8 @@ struct Reach {
     max_range: f32,
 }
 
-/// The smaller of two, as the vector instructions choose it: the second where they cannot be compared.
+/// The smaller of two, as the vector instructions choose it: the second where they cannot be
+/// compared.
 #[inline]
 pub(crate) fn lower(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }

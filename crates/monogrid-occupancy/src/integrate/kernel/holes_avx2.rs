@@ -1,8 +1,8 @@
-//! Octants of cells before all measurements, which get the update of free space where a pixel has a measurement: nothing but that is
-//! looked up, in bits.
+//! Octants of cells before all measurements, which get the update of free space where a pixel has a
+//! measurement: nothing but that is looked up, in bits.
 //!
-//! An octant sees few rows of pixels, a lane of a vector for each: a lookup is a permutation and a shift, where one in memory takes as
-//! long as ten of them.
+//! An octant sees few rows of pixels, a lane of a vector for each: a lookup is a permutation and a
+//! shift, where one in memory takes as long as ten of them.
 #![allow(
     unsafe_code,
     reason = "gathers from rows of bits that hold what is read behind their ends"
@@ -19,7 +19,8 @@ use crate::integrate::kernel::{EIGHT_SAMPLES, FOUR_SAMPLES, FOUR_SAMPLES_PX, evi
 const COLUMNS: i32 = 25;
 
 impl<const ONE_TABLE: bool> Lanes<'_, ONE_TABLE> {
-    /// Evidence of the cells of an octant that take a single sample; `None` if they may be too far or see too many pixels.
+    /// Evidence of the cells of an octant that take a single sample; `None` if they may be too far
+    /// or see too many pixels.
     #[target_feature(enable = "avx2")]
     #[inline]
     pub(super) fn single_through_holes(&self, block: &Block) -> Option<[__m256i; VECTORS]> {
@@ -113,7 +114,8 @@ impl<const ONE_TABLE: bool> Lanes<'_, ONE_TABLE> {
         Some(_mm256_blendv_epi8(found, eight, is_eight))
     }
 
-    /// Evidence of a cell whose eight samples are free, by the number of those that hit; that of all apart.
+    /// Evidence of a cell whose eight samples are free, by the number of those that hit; that of
+    /// all apart.
     #[target_feature(enable = "avx2")]
     #[inline]
     fn free_by_hits_of_eight(&self) -> [__m256i; 2] {
@@ -196,7 +198,8 @@ impl<const ROWS: usize> Window<ROWS> {
                 _mm256_set1_epi32(bits.stride as i32),
             );
             let index = _mm256_add_epi32(index, _mm256_set1_epi32(column >> 3));
-            // SAFETY: the first row and column lie in the image, `ROWS - 1` more rows and three more bytes in what is spare.
+            // SAFETY: the first row and column lie in the image, `ROWS - 1` more rows and three
+            // more bytes in what is spare.
             let found = unsafe { _mm256_i32gather_epi32::<1>(bits.bytes.as_ptr().cast(), index) };
             *rows = _mm256_srl_epi32(found, _mm_cvtsi32_si128(column & 7));
         }

@@ -1,12 +1,13 @@
 //! The kernel of the rule `fused`, eight cells at a time with AVX2.
 //!
-//! Lane `i` of a vector is a cell of an octant: `x + (i & 3)`, `y + (i >> 2)`; eight vectors are an octant.
-//! Every operation is the IEEE operation of the scalar kernel in the same order (no fused
+//! Lane `i` of a vector is a cell of an octant: `x + (i & 3)`, `y + (i >> 2)`; eight vectors are an
+//! octant. Every operation is the IEEE operation of the scalar kernel in the same order (no fused
 //! multiply-add), so the results are the same bits; the tests compare them.
 //!
-//! What a vector waits for follows from one another: a root and a division, the lookup of a pixel and that of its evidence. Octants whose
-//! cells all take a single sample go through these steps one after the other, all vectors of a step side by side. Where all
-//! measurements see free space, only whether a pixel has one is looked up, in bits (`holes_avx2`).
+//! What a vector waits for follows from one another: a root and a division, the lookup of a pixel
+//! and that of its evidence. Octants whose cells all take a single sample go through these steps
+//! one after the other, all vectors of a step side by side. Where all measurements see free space,
+//! only whether a pixel has one is looked up, in bits (`holes_avx2`).
 #![allow(
     unsafe_code,
     reason = "instructions that not every processor has; vectors and arrays of the same bits"
@@ -22,8 +23,8 @@ use crate::integrate::kernel::{
 };
 use crate::key::BRICK_CELLS;
 
-/// Evidence for the touched octants of a brick; `false`, and nothing done, if this processor has no AVX2, or the image has
-/// too many rows or columns for a product of 16 bits.
+/// Evidence for the touched octants of a brick; `false`, and nothing done, if this processor has no
+/// AVX2, or the image has too many rows or columns for a product of 16 bits.
 #[inline]
 pub(crate) fn brick(
     kernel: &Kernel,
@@ -78,7 +79,8 @@ pub(super) struct Lanes<'a, const ONE_TABLE: bool> {
     /// The last entry of the first table, and what its first adds to a sum.
     last_entry: __m256i,
     free_gain: __m256i,
-    /// Factors on the sum of one sample, of four and of eight by the number of those that hit, less one.
+    /// Factors on the sum of one sample, of four and of eight by the number of those that hit, less
+    /// one.
     single: __m256,
     by_hits_of_four: __m256,
     by_hits: __m256,
@@ -309,7 +311,8 @@ impl<'a, const ONE_TABLE: bool> Lanes<'a, ONE_TABLE> {
         if ONE_TABLE {
             let is_free = _mm256_cmpeq_epi32(entry, _mm256_setzero_si256());
             let is_behind = _mm256_cmpeq_epi32(entry, self.last_entry);
-            // In free space and behind obstacles, and where nothing is measured, the table is not needed.
+            // In free space and behind obstacles, and where nothing is measured, the table is not
+            // needed.
             if _mm256_movemask_epi8(_mm256_or_si256(is_free, is_behind)) == -1 {
                 return _mm256_and_si256(self.free_gain, is_free);
             }
@@ -323,7 +326,8 @@ impl<'a, const ONE_TABLE: bool> Lanes<'a, ONE_TABLE> {
     #[inline]
     fn entry(&self, index: __m256i, range: __m256) -> __m256i {
         let image = self.kernel.image;
-        // SAFETY: column and row are those of a pixel of the image or its border, which `near` holds all.
+        // SAFETY: column and row are those of a pixel of the image or its border, which `near`
+        // holds all.
         let near = unsafe { gather(image.near.as_ptr(), index) };
         let [inv_step, last, base] = self.tables(index);
         let offset = _mm256_add_ps(
@@ -406,7 +410,8 @@ pub(super) fn moved(center: __m256, share: f32, width: __m256) -> __m256 {
 #[inline]
 fn mean(sum: __m256i, by_hits: __m256) -> __m256i {
     let evidence = _mm256_srai_epi32::<{ sum::HIT_BITS as i32 }>(sum);
-    // Of the number of hits less one the lowest three bits count; without any hit the factor does not matter.
+    // Of the number of hits less one the lowest three bits count; without any hit the factor does
+    // not matter.
     let hits = _mm256_add_epi32(sum, _mm256_set1_epi32(-1));
     scaled(evidence, _mm256_permutevar8x32_ps(by_hits, hits))
 }

@@ -1,6 +1,7 @@
 //! A range image as the kernel of the rule `fused` needs it.
 
-/// An image as the kernel needs it: with a border of one pixel without a measurement, for all that lies outside.
+/// An image as the kernel needs it: with a border of one pixel without a measurement, for all that
+/// lies outside.
 #[derive(Clone, Debug)]
 pub(crate) struct KernelImage {
     /// Pixels per row.
@@ -11,8 +12,8 @@ pub(crate) struct KernelImage {
     pub focal: [f32; 2],
     /// Pixel of slope 0, plus one half: truncation then finds the nearest pixel.
     pub center: [f32; 2],
-    /// Range at which the table of each pixel begins, in map units; minus infinity without a measurement, which lies behind every
-    /// table.
+    /// Range at which the table of each pixel begins, in map units; minus infinity without a
+    /// measurement, which lies behind every table.
     pub near: Vec<f32>,
     /// Table of each pixel; empty if all have the first.
     pub tables: Vec<u16>,
@@ -20,8 +21,9 @@ pub(crate) struct KernelImage {
     pub measured: Bits,
 }
 
-/// Rows of bits, lowest first, each with [`Bits::SPARE_BYTES`] after its end; after the last come [`Bits::SPARE_ROWS`] without any:
-/// a few bytes from anywhere in one row and in those that follow can be read without a test.
+/// Rows of bits, lowest first, each with [`Bits::SPARE_BYTES`] after its end; after the last come
+/// [`Bits::SPARE_ROWS`] without any: a few bytes from anywhere in one row and in those that follow
+/// can be read without a test.
 #[derive(Clone, Debug)]
 pub(crate) struct Bits {
     /// Bytes per row.
@@ -53,8 +55,8 @@ impl Bits {
 }
 
 impl KernelImage {
-    /// The image of so many columns and rows of [`KernelImage::near`] and, unless all have the first, tables. `center` is the
-    /// pixel of slope 0.
+    /// The image of so many columns and rows of [`KernelImage::near`] and, unless all have the
+    /// first, tables. `center` is the pixel of slope 0.
     pub(crate) fn new(
         [width, height]: [usize; 2],
         [focal, center]: [[f32; 2]; 2],

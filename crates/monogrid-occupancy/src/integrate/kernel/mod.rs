@@ -34,7 +34,8 @@ pub(crate) const FOUR_SAMPLES: [[f32; 2]; 4] =
 pub(crate) const SINGLE_SAMPLE_PX: f32 = 1.5;
 /// Footprints up to this wide take four samples.
 pub(crate) const FOUR_SAMPLES_PX: f32 = 3.2;
-/// Edge of an octant of a brick in cells; octant `x | y << 1 | z << 2` lies at those ends of its brick.
+/// Edge of an octant of a brick in cells; octant `x | y << 1 | z << 2` lies at those ends of its
+/// brick.
 pub(crate) const OCTANT_EDGE: usize = 4;
 
 /// The cell `[x, y, z]` of an octant in its brick.
@@ -56,7 +57,8 @@ pub(crate) struct FlatTables {
 }
 
 impl FlatTables {
-    /// Adds a table; in a footprint of several samples one for an obstacle counts `obstacle` times in addition.
+    /// Adds a table; in a footprint of several samples one for an obstacle counts `obstacle` times
+    /// in addition.
     pub(crate) fn push(&mut self, inv_step: f32, free: i16, entries: &[i16], obstacle: i32) {
         self.rows.push(TableRow {
             inv_step,
@@ -75,7 +77,8 @@ impl FlatTables {
     }
 }
 
-/// Samples of a footprint in one number: the sum of their evidence, and in the lowest bits how many said anything.
+/// Samples of a footprint in one number: the sum of their evidence, and in the lowest bits how many
+/// said anything.
 pub(crate) mod sum {
     /// Bits for the number of samples, at most eight.
     pub(crate) const HIT_BITS: u32 = 4;
@@ -128,7 +131,8 @@ pub(crate) struct Placed {
 }
 
 impl Placed {
-    /// Centre of a cell: the way along z, and then that along x and y; the order of the operations is part of the result.
+    /// Centre of a cell: the way along z, and then that along x and y; the order of the operations
+    /// is part of the result.
     #[inline]
     pub(super) fn center(&self, cell: [usize; 3]) -> [f32; 3] {
         let [x, y, z] = cell.map(|c| c as f32);
@@ -159,7 +163,8 @@ pub(crate) struct Kernel<'a> {
 }
 
 impl Kernel<'_> {
-    /// Writes the evidence for the cells of the octants of a brick that are touched; 0 where the scan says nothing.
+    /// Writes the evidence for the cells of the octants of a brick that are touched; 0 where the
+    /// scan says nothing.
     #[inline]
     pub(crate) fn brick(
         &self,

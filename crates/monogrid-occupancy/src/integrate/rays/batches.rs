@@ -1,9 +1,9 @@
 //! Beams on their way into the map: the visits of a batch of beams are collected, then every shard
 //! takes those of its bricks.
 //!
-//! Threads do not wait for each other: one that is free applies batches to a shard that has all those
-//! before them, or else collects the next batch. Each shard gets the batches in their order, so the
-//! map is that of one thread.
+//! Threads do not wait for each other: one that is free applies batches to a shard that has all
+//! those before them, or else collects the next batch. Each shard gets the batches in their order,
+//! so the map is that of one thread.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
@@ -33,7 +33,8 @@ pub(crate) struct Walk<'a> {
 }
 
 impl Walk<'_> {
-    /// Integrates beams in their order; the number of visits. `spare` keeps memory for the next walk.
+    /// Integrates beams in their order; the number of visits. `spare` keeps memory for the next
+    /// walk.
     pub(crate) fn integrate(
         &self,
         map: &mut OccupancyMap,

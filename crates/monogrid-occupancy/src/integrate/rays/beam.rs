@@ -146,11 +146,13 @@ const SHARES: usize = 8;
 /// Tiles of directions along an edge of the square onto which they are mapped.
 const DIRECTION_TILES: usize = 64;
 
-/// The points of a cloud in the order of their integration; `None` for pixels, which are taken as they come.
+/// The points of a cloud in the order of their integration; `None` for pixels, which are taken as
+/// they come.
 ///
-/// Points have no order of their own: every eighth is of one share, which so has points
-/// of all directions, and in a share neighbours follow one another, row by row of tiles, so that a beam finds in the cache what the
-/// last ones changed. With all of them in one share, many misses in a row would undo the hits of coarse cells.
+/// Points have no order of their own: every eighth is of one share, which so has points of all
+/// directions, and in a share neighbours follow one another, row by row of tiles, so that a beam
+/// finds in the cache what the last ones changed. With all of them in one share, many misses in a
+/// row would undo the hits of coarse cells.
 fn order_of_points(scan: &Scan) -> Option<Vec<u32>> {
     let ScanData::Points(PointScan { points, .. }) = scan.data else {
         return None;
@@ -176,7 +178,8 @@ fn order_of_points(scan: &Scan) -> Option<Vec<u32>> {
     Some(order)
 }
 
-/// The tile of a direction: the octahedron around the sensor, unfolded to a square. Any tile, if it is none.
+/// The tile of a direction: the octahedron around the sensor, unfolded to a square. Any tile, if it
+/// is none.
 #[inline]
 fn direction_tile([x, y, z]: [f32; 3]) -> usize {
     let scale = 1.0 / (x.abs() + y.abs() + z.abs());

@@ -253,8 +253,8 @@ impl Ray {
         }
     }
 
-    /// Exactly one axis has the time of the next crossing. Masks instead of branches: which axis comes
-    /// next cannot be predicted.
+    /// Exactly one axis has the time of the next crossing. Masks instead of branches: which axis
+    /// comes next cannot be predicted.
     #[inline]
     fn advance(&self, time: i64, next: [&mut i64; 3]) {
         for (next, step) in next.into_iter().zip(self.step) {

@@ -2,10 +2,10 @@
 //!
 //! Most visits of the rule `rays` meet cells that hold the lowest value already and take it down
 //! once more. A cube is saturated if all its cells hold the lowest value and every beam that could
-//! cross it is there still far enough before its obstacle to take them down. The search splits cubes around the sensor and
-//! notes, per tile of directions, the range of the nearest cube that is not saturated: rays begin
-//! there. It only leaves out updates that change nothing, so the map is that of every ray walked
-//! from the sensor.
+//! cross it is there still far enough before its obstacle to take them down. The search splits
+//! cubes around the sensor and notes, per tile of directions, the range of the nearest cube that is
+//! not saturated: rays begin there. It only leaves out updates that change nothing, so the map is
+//! that of every ray walked from the sensor.
 
 use crate::integrate::rays::beam::Beams;
 use crate::integrate::rays::pyramid::{Bounds, Pyramid};
@@ -119,8 +119,8 @@ impl BeamTiles {
 
     /// Whether a beam goes into the octants around the sensor's cell in which a cube lies.
     ///
-    /// Exact, as beams never turn round: cubes that touch the sensor's place are seen from all tiles,
-    /// though few beams or none may cross them.
+    /// Exact, as beams never turn round: cubes that touch the sensor's place are seen from all
+    /// tiles, though few beams or none may cross them.
     #[inline]
     fn is_reached(&self, first: VoxelKey, level: u32) -> bool {
         const FALLING: [u8; 3] = [0b1010_1010, 0b1100_1100, 0b1111_0000];

@@ -2,8 +2,8 @@
 //!
 //! (1) Beams are walked and their visits of bricks handed to the shards of those. Of bricks that a
 //! beam crosses wholly in free space only the fact is handed on; where it meets more, the update of
-//! every cell. (2) Each shard takes the visits in the order of the beams. A free visit of a brick that
-//! is saturated free ends with a look into the directory.
+//! every cell. (2) Each shard takes the visits in the order of the beams. A free visit of a brick
+//! that is saturated free ends with a look into the directory.
 
 use crate::evidence::UpdateRule;
 use crate::integrate::rays::BrickFilter;
@@ -125,8 +125,8 @@ struct Visitor<'a> {
 }
 
 impl Visitor<'_> {
-    /// Visits all that the beam can change; whether bricks in free space were visited, with `free_word`
-    /// for the third word.
+    /// Visits all that the beam can change; whether bricks in free space were visited, with
+    /// `free_word` for the third word.
     fn visit(&mut self, free_word: u32) -> bool {
         let beam = self.beam;
         let mut from = beam.saturated_until;
@@ -269,8 +269,8 @@ impl<'a> ShardWriter<'a> {
     }
 }
 
-/// Adds the same evidence to all cells of a brick that a beam crosses. A function of its own: what its loop needs has room in
-/// registers.
+/// Adds the same evidence to all cells of a brick that a beam crosses. A function of its own: what
+/// its loop needs has room in registers.
 #[inline(never)]
 fn add_along(
     cells: &mut [i16; BRICK_CELLS],

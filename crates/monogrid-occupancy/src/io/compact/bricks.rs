@@ -77,7 +77,8 @@ impl Model {
         }
     }
 
-    /// 0 unknown, 1 and 2 the values that a map clamps at, which are as frequent and get words of their own, 3 anything else.
+    /// 0 unknown, 1 and 2 the values that a map clamps at, which are as frequent and get words of
+    /// their own, 3 anything else.
     #[inline]
     fn class(&self, value: i16) -> usize {
         match value {

@@ -107,8 +107,8 @@ impl Line {
         };
         answer.write(status, &mut until(limits.answer))?;
         self.stream.shutdown(Shutdown::Write)?;
-        // A connection that is closed with bytes unread is reset, and the answer may be lost. What still comes goes into a small buffer and
-        // nowhere else.
+        // A connection that is closed with bytes unread is reset, and the answer may be lost. What
+        // still comes goes into a small buffer and nowhere else.
         let (mut rest, mut unread) = (until(limits.close), [0; 4 << 10]);
         while rest.read(&mut unread)? > 0 {}
         Ok(())
@@ -145,7 +145,8 @@ impl Line {
 const TOO_LARGE: &str = "431 Request Header Fields Too Large";
 
 impl Site {
-    /// The path that is asked for, or the status of a refusal; nothing before the head of the request is whole.
+    /// The path that is asked for, or the status of a refusal; nothing before the head of the
+    /// request is whole.
     fn question(&self, bytes: &[u8]) -> Option<Result<String, &'static str>> {
         let mut headers = [EMPTY_HEADER; MAX_HEADERS];
         let mut request = Request::new(&mut headers);
@@ -169,8 +170,8 @@ impl Site {
         }
     }
 
-    /// Whether the browser asked for this computer by its own name, and by nothing else: a page from elsewhere whose name leads here must
-    /// not read maps.
+    /// Whether the browser asked for this computer by its own name, and by nothing else: a page
+    /// from elsewhere whose name leads here must not read maps.
     fn is_meant(&self, request: &Request) -> bool {
         let port = self.address.port();
         let known = ["127.0.0.1", "localhost"].map(|name| format!("{name}:{port}"));

@@ -1,8 +1,9 @@
 //! Pages for the browser of this computer, and for nobody else.
 //!
-//! Every program of this computer can connect, whoever started it. So the address holds a random token, only requests without a body
-//! are answered, and what a connection may take is limited: bytes, time, and a place among a fixed number. Each has a thread of its
-//! own; one that stalls keeps neither others nor the end of the server waiting.
+//! Every program of this computer can connect, whoever started it. So the address holds a random
+//! token, only requests without a body are answered, and what a connection may take is limited:
+//! bytes, time, and a place among a fixed number. Each has a thread of its own; one that stalls
+//! keeps neither others nor the end of the server waiting.
 
 mod connection;
 #[cfg(test)]
@@ -112,8 +113,8 @@ impl Server {
         format!("http://{address}/{token}/")
     }
 
-    /// Begins to answer; `answer` gets the path below the address, such as `/`. One answer is made at a time, so that many who ask cost
-    /// a run no more than one does.
+    /// Begins to answer; `answer` gets the path below the address, such as `/`. One answer is made
+    /// at a time, so that many who ask cost a run no more than one does.
     pub fn start(
         self,
         answer: impl FnMut(&str) -> Option<Answer> + Send + 'static,
@@ -157,8 +158,8 @@ impl Server {
     }
 }
 
-/// Shuts connections until there is room for one more: first those that have not asked for a page of this address, the oldest of them
-/// before others.
+/// Shuts connections until there is room for one more: first those that have not asked for a page
+/// of this address, the oldest of them before others.
 fn make_room(open: &mut Vec<Connection>, most: usize, stop: &AtomicBool) {
     while open.len() >= most && !stop.load(Ordering::Relaxed) {
         if !open.iter().any(Connection::is_shut)

@@ -194,7 +194,8 @@ fn every_answer_says_what_its_page_may_load_and_is_kept_nowhere() {
     site.end();
 }
 
-/// What one of whom nothing good is to be expected sends, and what is said; nothing where that is to wait.
+/// What one of whom nothing good is to be expected sends, and what is said; nothing where that is
+/// to wait.
 #[allow(clippy::too_many_lines, reason = "a table of requests")]
 fn hostile() -> Vec<(&'static str, String, &'static str)> {
     let post = |headers: &str| {

@@ -9,7 +9,8 @@ use crate::sweep::thesis::{self, ANDERT, Family, THRUN};
 /// A score of a map, for a table over parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Score {
-    /// AUC of all cells whose truth is known, unobserved ones at 0.5, by 26 thresholds: the thesis' way.
+    /// AUC of all cells whose truth is known, unobserved ones at 0.5, by 26 thresholds: the thesis'
+    /// way.
     AucKnown,
     /// Exact AUC of observed cells.
     AucObserved,

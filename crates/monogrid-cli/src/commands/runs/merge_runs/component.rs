@@ -244,8 +244,8 @@ fn colour(parts: &[Part], id: KeyframeId) -> Option<Vec<u8>> {
     jpeg.map(<[u8]>::to_vec)
 }
 
-/// Writes `trajectory.txt` and, of each recording, `trajectory_N.txt`, in the frame of the results; the positions of all frames, or of
-/// the keyframes of recordings that know no frames.
+/// Writes `trajectory.txt` and, of each recording, `trajectory_N.txt`, in the frame of the results;
+/// the positions of all frames, or of the keyframes of recordings that know no frames.
 fn write_paths(
     folder: &OutputFolder,
     component: &Component,

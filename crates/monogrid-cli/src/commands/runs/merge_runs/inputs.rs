@@ -75,7 +75,8 @@ impl Part {
     }
 }
 
-/// Of what keyframes show and measured, and where they are: the same of a recording and of the submaps of its run.
+/// Of what keyframes show and measured, and where they are: the same of a recording and of the
+/// submaps of its run.
 fn checksum(keyframes: &[StoredKeyframe]) -> u32 {
     let mut crc = crc32fast::Hasher::new();
     for stored in keyframes {
@@ -93,8 +94,9 @@ fn checksum(keyframes: &[StoredKeyframe]) -> u32 {
     crc.finalize()
 }
 
-/// Reads all recordings. What is joined lies in the world of the first of them: those in metres come first, then those that know where up
-/// is, then those with most keyframes; checksums decide about the rest.
+/// Reads all recordings. What is joined lies in the world of the first of them: those in metres
+/// come first, then those that know where up is, then those with most keyframes; checksums decide
+/// about the rest.
 pub fn read_parts(paths: &[PathBuf]) -> Result<Vec<Part>, Failure> {
     let parts = (1..)
         .zip(paths)
@@ -127,7 +129,8 @@ pub fn read_parts(paths: &[PathBuf]) -> Result<Vec<Part>, Failure> {
     Ok(parts)
 }
 
-/// Of every fragment of the map that the parts make side by side, the number of the recording that it came from.
+/// Of every fragment of the map that the parts make side by side, the number of the recording that
+/// it came from.
 pub fn owners(parts: &[Part], side_by_side: &StoredMap) -> BTreeMap<FragmentId, usize> {
     let of_part = |part: &Part| {
         let (number, keyframes) = (part.number, part.keyframes.clone());

@@ -1,4 +1,5 @@
-//! `monogrid merge-runs`: recordings of different days and cameras as one map, as far as they show the same places.
+//! `monogrid merge-runs`: recordings of different days and cameras as one map, as far as they show
+//! the same places.
 
 mod component;
 mod inputs;
@@ -24,10 +25,12 @@ pub struct MergeRunsArgs {
     /// Folders of runs, or recordings (.mgk); their order says nothing but their numbers
     #[arg(required = true, num_args = 2..)]
     pub runs: Vec<PathBuf>,
-    /// Output folder: recording.mgk and the maps of what was joined; what stays apart in apart_1, apart_2, ...
+    /// Output folder: recording.mgk and the maps of what was joined; what stays apart in apart_1,
+    /// apart_2, ...
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Edge length of a cell [default: as the first recording that was joined has it, or as its scene asks for]
+    /// Edge length of a cell [default: as the first recording that was joined has it, or as its
+    /// scene asks for]
     #[arg(long, value_name = "L", value_parser = monogrid_app::args::positive)]
     pub resolution: Option<f64>,
     /// Settings, TOML (as config.toml of a run; slam.merge, slam.graph and slam.fragments are used)

@@ -27,8 +27,9 @@ use std::path::{Path, PathBuf};
 pub struct RescaleArgs {
     /// Folder of a run of unknown scale
     pub run: PathBuf,
-    /// Where the scale comes from: camera-height=1.5m (over the floor, median), distance:A,B=1.2m (points X:Y:Z of the results
-    /// or pixels kID:X:Y of keyframes), trajectory:FILE in metres, or factor=F metres per map unit
+    /// Where the scale comes from: camera-height=1.5m (over the floor, median), distance:A,B=1.2m
+    /// (points X:Y:Z of the results or pixels kID:X:Y of keyframes), trajectory:FILE in metres, or
+    /// factor=F metres per map unit
     #[arg(long, value_name = "SOURCE", value_parser = ScaleFrom::parse)]
     pub scale_from: ScaleFrom,
     /// Output folder
@@ -119,7 +120,8 @@ fn summary(run: &Path) -> Result<Value, Failure> {
     summary.ok_or_else(|| Failure::input(format!("{} is damaged", path.display())))
 }
 
-/// Numbers with lengths, times `factor`; errors against a reference are of the old unit and left out.
+/// Numbers with lengths, times `factor`; errors against a reference are of the old unit and left
+/// out.
 fn rescaled_summary(mut summary: Value, factor: f64) -> Value {
     summary["scale"] = "metric".into();
     summary["metres_per_map_unit"] = factor.into();
@@ -160,7 +162,8 @@ fn write_tables(run: &Path, folder: &OutputFolder, factor: f64) -> Result<(), Fa
     Ok(())
 }
 
-/// The recording with its keyframes and points in a world of metres; edges and frames are in units of keyframes.
+/// The recording with its keyframes and points in a world of metres; edges and frames are in units
+/// of keyframes.
 fn write_recording(
     folder: &OutputFolder,
     recording: Recording,
@@ -224,8 +227,8 @@ fn append(
     revision.map_or(Ok(()), |revision| writer.append_depth(revision))
 }
 
-/// Builds the maps of the recording in a folder, beside which its frame lies, around where the camera was, and writes `summary.json`
-/// with what is known and facts about the maps; that summary.
+/// Builds the maps of the recording in a folder, beside which its frame lies, around where the
+/// camera was, and writes `summary.json` with what is known and facts about the maps; that summary.
 pub fn write_maps(
     folder: &OutputFolder,
     mut summary: Value,

@@ -48,7 +48,8 @@ pub struct Results<'a> {
 }
 
 impl ScaleFrom {
-    /// Reads `factor=F`, `distance:A,B=L`, `camera-height=L` or `trajectory:FILE`; lengths are metres, with or without `m`.
+    /// Reads `factor=F`, `distance:A,B=L`, `camera-height=L` or `trajectory:FILE`; lengths are
+    /// metres, with or without `m`.
     pub fn parse(text: &str) -> Result<Self, String> {
         let parsed = if let Some(file) = text.strip_prefix("trajectory:") {
             Some(Self::Trajectory(file.into()))

@@ -5,7 +5,8 @@ pub fn trajectory(text: &str, factor: f64) -> Option<String> {
     scaled_lines(text, has_numbers, &[1, 2, 3], factor)
 }
 
-/// `keyframes.txt` (`id frame timestamp scale tx ty tz ...`) with scales and positions times `factor`.
+/// `keyframes.txt` (`id frame timestamp scale tx ty tz ...`) with scales and positions times
+/// `factor`.
 pub fn keyframes(text: &str, factor: f64) -> Option<String> {
     scaled_lines(text, has_numbers, &[3, 4, 5, 6], factor)
 }
