@@ -142,12 +142,18 @@ pub struct SourceArgs {
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     pub calibration: Option<PathBuf>,
     /// Horizontal field of view of a camera without calibration, degrees [default: estimated]
-    #[arg(long, value_name = "DEG", value_parser = field_of_view, conflicts_with = "calibration", help_heading = "Input")]
+    #[arg(
+        long, value_name = "DEG", value_parser = field_of_view, conflicts_with = "calibration",
+        help_heading = "Input"
+    )]
     pub fov: Option<f64>,
     /// Time in which the camera reads the rows of its sensor, from the first to the last,
     /// milliseconds; negative where it begins with the last [default: as the calibration says, else
     /// as the images show where there is none, else 0]
-    #[arg(long, value_name = "MS", value_parser = readout_ms, allow_negative_numbers = true, help_heading = "Input")]
+    #[arg(
+        long, value_name = "MS", value_parser = readout_ms, allow_negative_numbers = true,
+        help_heading = "Input"
+    )]
     pub rolling_shutter: Option<f64>,
     /// Topic of a recording whose images are used [default: the only one that has some]
     #[arg(long, value_name = "NAME", help_heading = "Input")]
@@ -185,7 +191,10 @@ pub struct SourceArgs {
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     pub imu_from_camera: Option<PathBuf>,
     /// Milliseconds to add to the times of readings to have those of the images [default: 0]
-    #[arg(long, value_name = "MS", value_parser = time_offset_ms, allow_hyphen_values = true, help_heading = "Input")]
+    #[arg(
+        long, value_name = "MS", value_parser = time_offset_ms, allow_hyphen_values = true,
+        help_heading = "Input"
+    )]
     pub imu_time_offset: Option<f64>,
 }
 
@@ -264,7 +273,8 @@ const MAX_PIXELS: usize = *WorkingSize::ALLOWED_PIXELS.end();
 pub fn size(text: &str) -> Result<(usize, usize), String> {
     let expected = || {
         format!(
-            "expected WIDTHxHEIGHT, both from 32 to 8192 and at most {MAX_PIXELS} pixels, e.g. 640x480"
+            "expected WIDTHxHEIGHT, both from 32 to 8192 and at most {MAX_PIXELS} pixels, e.g. \
+             640x480"
         )
     };
     let side = |text: &str| text.parse().ok().filter(|n| (32..=8192).contains(n));

@@ -160,7 +160,8 @@ impl RunConfig {
                 ),
                 _ => {
                     return Err(format!(
-                        "there is no setting or section `{key}`; expected profile, seed, working_pixels, mapping or slam"
+                        "there is no setting or section `{key}`; expected profile, seed, \
+                         working_pixels, mapping or slam"
                     ));
                 }
             }
@@ -283,7 +284,8 @@ fn table_of(setting: &str) -> Result<Table, Failure> {
     };
     if key.trim() == "profile" {
         return Err(Failure::input(format!(
-            "--set {setting}: a profile is all settings at once; choose it with --profile NAME, or with `profile = \"NAME\"` in a file"
+            "--set {setting}: a profile is all settings at once; choose it with --profile NAME, or \
+             with `profile = \"NAME\"` in a file"
         )));
     }
     let text = text.trim();
@@ -461,8 +463,8 @@ mod tests {
     fn names_that_are_settings_no_longer_are_read_and_have_no_effect() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("c.toml");
-        let text = "profile = \"thesis\"\n[mapping]\nmax_range = 4.0\n[mapping.fill]\nsamples = 60\n\
-                    [mapping.rims]\nx = 1\n[slam.tracking]\nmin_points = 9\n";
+        let text = "profile = \"thesis\"\n[mapping]\nmax_range = 4.0\n[mapping.fill]\nsamples = \
+            60\n[mapping.rims]\nx = 1\n[slam.tracking]\nmin_points = 9\n";
         std::fs::write(&path, text).unwrap();
         let mut expected = RunConfig::of(Profile::Thesis);
         expected.mapping.max_range = 4.0;

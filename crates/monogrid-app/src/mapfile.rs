@@ -44,7 +44,8 @@ pub fn load(path: &Path) -> Result<(OccupancyMap, MapFormat), Failure> {
     let endless = read.0.endless_free();
     if endless > 0 {
         eprintln!(
-            "warning: map {}: {endless} cubes of free space of 2048 cells and more along an edge are left out: they are unknown here",
+            "warning: map {}: {endless} cubes of free space of 2048 cells and more along an edge \
+             are left out: they are unknown here",
             path.display()
         );
     }
@@ -66,8 +67,8 @@ fn max_bricks(file_bytes: u64) -> u64 {
 
 fn too_large(file_bytes: u64) -> String {
     format!(
-        "a file of {file_bytes} bytes may describe {} cells; set {LARGE_MAPS}=1 in the environment if you trust it \
-         and have the memory",
+        "a file of {file_bytes} bytes may describe {} cells; set {LARGE_MAPS}=1 in the environment \
+         if you trust it and have the memory",
         max_bricks(file_bytes) * BRICK_CELLS as u64
     )
 }

@@ -51,7 +51,8 @@ impl Recorded {
         let trajectory: Vec<_> = recording.keyframes.iter().filter_map(timed).collect();
         if trajectory.is_empty() {
             return Err(Failure::input(format!(
-                "{} holds no keyframe with a pose: tracking never started, or the file ends too early",
+                "{} holds no keyframe with a pose: tracking never started, or the file ends too \
+                 early",
                 path.display()
             )));
         }

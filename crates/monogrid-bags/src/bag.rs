@@ -113,9 +113,11 @@ impl Bag {
         let mut parts = parts_of(path).map_err(BagError::io(path))?;
         if parts.is_empty() {
             let reason = if is_packed(path) {
-                "is compressed with zstd, and what it holds is no recording or cannot be decompressed: is it whole?"
+                "is compressed with zstd, and what it holds is no recording or cannot be \
+                 decompressed: is it whole?"
             } else {
-                "begins neither as MCAP, as SQLite nor as a ROS 1 bag: expected a .mcap, .db3 or .bag file, or the folder of a rosbag2"
+                "begins neither as MCAP, as SQLite nor as a ROS 1 bag: expected a .mcap, .db3 or \
+                 .bag file, or the folder of a rosbag2"
             };
             return Err(BagError::damaged(path, reason));
         }
@@ -170,8 +172,8 @@ impl Bag {
             _ if images.is_empty() => {
                 let all: Vec<&Topic> = self.topics.iter().collect();
                 format!(
-                    "there is no topic with images; there are {}; images are sensor_msgs/Image, CompressedImage, \
-                     foxglove.RawImage, CompressedImage or CompressedVideo",
+                    "there is no topic with images; there are {}; images are sensor_msgs/Image, \
+                     CompressedImage, foxglove.RawImage, CompressedImage or CompressedVideo",
                     names(&all)
                 )
             }

@@ -68,7 +68,8 @@ impl Unpacker {
         let most = most.saturating_add(FILE_BYTES);
         if all > most {
             return Err(format!(
-                "what is compressed in a file of {} bytes holds {all} or more, expected at most {most}",
+                "what is compressed in a file of {} bytes holds {all} or more, expected at most \
+                 {most}",
                 self.stored_bytes
             ));
         }
@@ -155,7 +156,8 @@ pub fn unpacked_file(file: &File) -> Result<File, String> {
         .map_err(|error| format!("it cannot be decompressed (zstd) into TMPDIR: {error}"))?;
     if written > most {
         return Err(format!(
-            "a file of {packed} bytes holds more than {most}; decompress it with zstd -d, if you trust it"
+            "a file of {packed} bytes holds more than {most}; decompress it with zstd -d, if you \
+             trust it"
         ));
     }
     Ok(out)

@@ -17,8 +17,8 @@ fn database(part: &Part) -> Result<Database, BagError> {
     let mut log = part.path.as_os_str().to_owned();
     log.push("-wal");
     if std::fs::metadata(&log).is_ok_and(|log| log.len() > 0) {
-        let reason = "it was not closed: messages are still in the -wal file beside it; open and close it once with sqlite3, or \
-                      with ros2 bag reindex";
+        let reason = "it was not closed: messages are still in the -wal file beside it; open and \
+            close it once with sqlite3, or with ros2 bag reindex";
         return Err(BagError::damaged(&part.path, reason));
     }
     Database::open(part.open()?).map_err(|reason| BagError::damaged(&part.path, reason))

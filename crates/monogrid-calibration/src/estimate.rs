@@ -8,7 +8,8 @@ use crate::tracks::Window;
 /// Settings of [`estimate_intrinsics`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct EstimateConfig {
-    /// Fields of view along the longer side that are tried, degrees. Range 10..150; default 45, 62, 85.
+    /// Fields of view along the longer side that are tried, degrees. Range 10..150; default
+    /// 45, 62, 85.
     pub guesses_deg: Vec<f64>,
     /// Bundle adjustment.
     pub adjust: AdjustConfig,

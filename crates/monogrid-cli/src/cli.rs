@@ -85,7 +85,8 @@ fn with_numbers(command: clap::Command) -> clap::Command {
 
 const EXIT_CODES: &str = "\
 Exit codes: 0 done, 1 failed while running, 2 wrong usage or bad input,
-3 finished, but tracking never started or was lost for good (what was mapped is saved), or recordings stay apart,
+3 finished, but tracking never started or was lost for good (what was mapped is saved), or
+  recordings stay apart,
 4 interrupted (what was mapped until then is saved), 130 interrupted again: nothing more is saved.
 
 First steps:  monogrid demo
@@ -104,9 +105,9 @@ pub enum Command {
     Run(Box<run::RunArgs>),
     /// Many recordings, each by a run of its own: resumable, a status for each, several at once
     #[command(
-        after_help = "Example: monogrid batch recordings.tsv --out maps --jobs 8\n\n\
-A list has a recording per line, and behind tabs what is said of it alone: name=NAME and options of `monogrid run`\n\
-as KEY=VALUE."
+        after_help = "Example: monogrid batch recordings.tsv --out maps --jobs 8\n\nA list has a \
+            recording per line, and behind tabs what is said of it alone: name=NAME and options of \
+            `monogrid run`\nas KEY=VALUE."
     )]
     Batch(batch::BatchArgs),
     /// One page of all recordings of a batch: what worked, what did not and why, the worst first
@@ -126,12 +127,14 @@ as KEY=VALUE."
     View(view::ViewArgs),
     /// Build an occupancy map from a recording, or from poses and depth from anywhere
     #[command(
-        after_help = "Example: monogrid map runs/kitchen/recording.mgk --out kitchen.ot --resolution 0.02"
+        after_help = "Example: monogrid map runs/kitchen/recording.mgk --out kitchen.ot \
+            --resolution 0.02"
     )]
     Map(map::MapArgs),
     /// A run of unknown scale in metres: trajectory, recording, maps and cloud in a new folder
     #[command(
-        after_help = "Example: monogrid rescale runs/kitchen --scale-from camera-height=1.5m --out runs/kitchen-metric"
+        after_help = "Example: monogrid rescale runs/kitchen --scale-from camera-height=1.5m --out \
+            runs/kitchen-metric"
     )]
     Rescale(rescale::RescaleArgs),
     /// Runs of different days and cameras as one map, as far as they show the same places
@@ -139,7 +142,8 @@ as KEY=VALUE."
     MergeRuns(merge_runs::MergeRunsArgs),
     /// Ground-truth map of a mesh, a point cloud, a built-in world, or posed depth images
     #[command(
-        after_help = "Example: monogrid truth room.ply --trajectory groundtruth.txt --resolution 0.02 --out truth.ot"
+        after_help = "Example: monogrid truth room.ply --trajectory groundtruth.txt --resolution \
+            0.02 --out truth.ot"
     )]
     Truth(truth::TruthArgs),
     /// Synthetic dataset in TUM layout with exact depth, poses and truth map
@@ -173,12 +177,14 @@ as KEY=VALUE."
     Mesh(tools::MeshArgs),
     /// Map seen from above as .pgm and .yaml for nav2's map server
     #[command(
-        after_help = "Example: monogrid project kitchen.ot kitchen.pgm --min-height 0.1 --max-height 1.5"
+        after_help = "Example: monogrid project kitchen.ot kitchen.pgm --min-height 0.1 \
+            --max-height 1.5"
     )]
     Project(tools::ProjectArgs),
     /// Distance to the nearest obstacle in every cell, as an array for numpy
     #[command(
-        after_help = "Example: monogrid distances kitchen.ot kitchen.npy --max-distance 2 --height 0.3"
+        after_help = "Example: monogrid distances kitchen.ot kitchen.npy --max-distance 2 --height \
+            0.3"
     )]
     Distances(distances::DistancesArgs),
     /// Path of a robot through a map
@@ -191,9 +197,8 @@ as KEY=VALUE."
     #[command(subcommand)]
     Thesis(ThesisCommand),
     /// Print a script that lets a shell complete commands and options
-    #[command(
-        after_help = "Example: monogrid completions bash > ~/.local/share/bash-completion/completions/monogrid"
-    )]
+    #[command(after_help = "Example: monogrid completions bash > \
+            ~/.local/share/bash-completion/completions/monogrid")]
     Completions(shell::CompletionsArgs),
     /// Pages of the manual, for `man`
     #[command(after_help = "Example: monogrid man --out ~/.local/share/man/man1 --force")]
@@ -205,12 +210,14 @@ as KEY=VALUE."
 pub enum EvaluateCommand {
     /// Errors of a trajectory (ATE, RPE, scale drift), as `evo` computes them
     #[command(
-        after_help = "Example: monogrid evaluate trajectory runs/kitchen/trajectory.txt groundtruth.txt --align sim3"
+        after_help = "Example: monogrid evaluate trajectory runs/kitchen/trajectory.txt \
+            groundtruth.txt --align sim3"
     )]
     Trajectory(evaluate::EvaluateTrajectoryArgs),
     /// Inverse depth of the keyframes of a recording, and its variance, against true depth
     #[command(
-        after_help = "Example: monogrid evaluate depth runs/kitchen/recording.mgk recordings/kitchen"
+        after_help = "Example: monogrid evaluate depth runs/kitchen/recording.mgk \
+            recordings/kitchen"
     )]
     Depth(evaluate::EvaluateDepthArgs),
     /// Cells of a map against the true map: ROC, MCC, calibration, surface, four rules for unknown
@@ -218,7 +225,8 @@ pub enum EvaluateCommand {
     Map(evaluate_map::EvaluateMapArgs),
     /// Can a robot plan on the map, and are its plans safe in the true map
     #[command(
-        after_help = "Example: monogrid evaluate paths runs/kitchen/global.ot truth.ot --robot-radius 0.2"
+        after_help = "Example: monogrid evaluate paths runs/kitchen/global.ot truth.ot \
+            --robot-radius 0.2"
     )]
     Paths(evaluate_map::EvaluatePathsArgs),
 }

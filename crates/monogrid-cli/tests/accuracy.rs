@@ -107,7 +107,8 @@ fn the_table_of_the_readme_is_printed_from_what_we_promise() {
     }
     assert!(
         readme[begin..end] == table,
-        "README.md does not say what accuracy.toml promises; run UPDATE_DOCS=1 cargo test --test accuracy\n{table}"
+        "README.md does not say what accuracy.toml promises; run UPDATE_DOCS=1 cargo test --test \
+         accuracy\n{table}"
     );
 }
 

@@ -198,7 +198,8 @@ impl Archive {
     pub(crate) fn note(&self) -> Option<String> {
         self.decompressed_bytes.map(|bytes| {
             format!(
-                "{} was decompressed first ({:.0} MB in the folder for temporary files); a .zip or .tar file starts faster",
+                "{} was decompressed first ({:.0} MB in the folder for temporary files); a .zip or \
+                 .tar file starts faster",
                 self.path.display(),
                 bytes as f64 / 1e6
             )

@@ -44,8 +44,8 @@ pub enum DatasetError {
     },
     /// Time stamps of more than one recording, or of a clock that was set.
     #[error(
-        "time jumps back by {seconds:.3} s at frame {frame} of {path:?}, expected increasing times; split the source there, or \
-         set its times right"
+        "time jumps back by {seconds:.3} s at frame {frame} of {path:?}, expected increasing \
+         times; split the source there, or set its times right"
     )]
     TimesJumpBack {
         /// List of frames.
@@ -89,7 +89,8 @@ pub enum DatasetError {
     },
     /// An image that cannot be decoded completely.
     #[error(
-        "cannot decode image {path:?}: {reason}; expected a complete PNG, JPEG, PGM, PPM, TIFF or WebP"
+        "cannot decode image {path:?}: {reason}; expected a complete PNG, JPEG, PGM, PPM, TIFF or \
+         WebP"
     )]
     Image {
         /// The file.

@@ -99,7 +99,8 @@ impl ImuCalibration {
         let said = sensor_yaml(&read_text(path)?);
         if said == Self::default() {
             let found = "neither noise nor place of an inertial sensor";
-            let expected = "gyroscope_noise_density, gyroscope_random_walk, accelerometer_noise_density, accelerometer_random_walk, T_BS";
+            let expected = "gyroscope_noise_density, gyroscope_random_walk, \
+                accelerometer_noise_density, accelerometer_random_walk, T_BS";
             return Err(DatasetError::content(path, found, expected));
         }
         Ok(said)
@@ -148,7 +149,8 @@ impl Columns {
         }
         let names: Vec<String> = fields(header).map(str::to_lowercase).collect();
         Self::named(&names).ok_or_else(|| {
-            let expected = "names of columns for time, gyroscope x y z and accelerometer x y z, as `timestamp,gx,gy,gz,ax,ay,az`";
+            let expected = "names of columns for time, gyroscope x y z and accelerometer x y z, as \
+                `timestamp,gx,gy,gz,ax,ay,az`";
             DatasetError::line(path, 1, first, expected)
         })
     }
@@ -298,7 +300,8 @@ pub fn write_imu(
     rate_hz: f64,
 ) -> Result<(), DatasetError> {
     let mut text = String::from(
-        "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n",
+        "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],a_RS_S_x [m \
+         s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n",
     );
     for sample in samples {
         let (w, a) = (sample.angular_velocity, sample.specific_force);
@@ -317,9 +320,9 @@ pub fn write_imu(
         format!("{x:.12}, {y:.12}, {z:.12}, {t:.12},")
     });
     let yaml = format!(
-        "sensor_type: imu\nT_BS:\n  cols: 4\n  rows: 4\n  data: [{}\n         0.0, 0.0, 0.0, 1.0]\nrate_hz: {rate_hz}\n\
-         gyroscope_noise_density: {:e}\ngyroscope_random_walk: {:e}\naccelerometer_noise_density: {:e}\n\
-         accelerometer_random_walk: {:e}\n",
+        "sensor_type: imu\nT_BS:\n  cols: 4\n  rows: 4\n  data: [{}\n         0.0, 0.0, 0.0, 1.0]\n\
+         rate_hz: {rate_hz}\ngyroscope_noise_density: {:e}\ngyroscope_random_walk: {:e}\n\
+         accelerometer_noise_density: {:e}\naccelerometer_random_walk: {:e}\n",
         rows.join("\n         "),
         noise.gyroscope,
         noise.gyroscope_walk,

@@ -60,7 +60,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         others.len()
     );
     println!(
-        "\n| other descriptors | keyframes are | with a revisit | found first | found | candidates of other places per query | ms per query, CPU | bytes per descriptor |"
+        "\n| other descriptors | keyframes are | with a revisit | found first | found | candidates \
+         of other places per query | ms per query, CPU | bytes per descriptor |"
     );
     println!("|---|---|---|---|---|---|---|---|");
     for wanted in DISTRACTORS {

@@ -111,8 +111,8 @@ pub enum CameraError {
     },
     /// A focal length that no lens has.
     #[error(
-        "focal length {name} is {value} px for an image {size} px wide, expected between {min:.0} and \
-         {max:.0}; is it given relative to the image size, or in millimetres?"
+        "focal length {name} is {value} px for an image {size} px wide, expected between {min:.0} \
+         and {max:.0}; is it given relative to the image size, or in millimetres?"
     )]
     FocalLength {
         /// `fx` or `fy`.
@@ -128,7 +128,8 @@ pub enum CameraError {
     },
     /// Principal point far outside the image.
     #[error(
-        "principal point ({cx}, {cy}) is outside the {width}x{height} image; expected near its centre"
+        "principal point ({cx}, {cy}) is outside the {width}x{height} image; expected near its \
+         centre"
     )]
     PrincipalPoint {
         /// Found x.

@@ -174,8 +174,8 @@ fn time_closure() {
         uncertainty.relative(k as u64 - 1, k as u64).unwrap();
     }
     println!(
-        "closure: {LOOP_KEYFRAMES} keyframes, {} edges: {:.0} ms, {} iterations, largest error {before:.2} \
-         -> {:.2} m in a loop of {:.0} m; covariances of 12 keyframes {:.0} ms",
+        "closure: {LOOP_KEYFRAMES} keyframes, {} edges: {:.0} ms, {} iterations, largest error \
+         {before:.2} -> {:.2} m in a loop of {:.0} m; covariances of 12 keyframes {:.0} ms",
         graph.edges().len(),
         1e3 * (optimised - start),
         report.iterations,

@@ -23,8 +23,8 @@ fn fields_of(name: &str) -> Option<&'static str> {
         "tf2_msgs/TFMessage" => "geometry_msgs/TransformStamped[] transforms\n",
         "nav_msgs/Path" => "std_msgs/Header header\ngeometry_msgs/PoseStamped[] poses\n",
         "nav_msgs/MapMetaData" => {
-            "builtin_interfaces/Time map_load_time\nfloat32 resolution\nuint32 width\nuint32 height\n\
-             geometry_msgs/Pose origin\n"
+            "builtin_interfaces/Time map_load_time\nfloat32 resolution\nuint32 width\nuint32 \
+             height\ngeometry_msgs/Pose origin\n"
         }
         "nav_msgs/OccupancyGrid" => {
             "std_msgs/Header header\nnav_msgs/MapMetaData info\nint8[] data\n"
@@ -34,9 +34,9 @@ fn fields_of(name: &str) -> Option<&'static str> {
             "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify\n"
         }
         "sensor_msgs/CameraInfo" => {
-            "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\n\
-             float64[9] k\nfloat64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\n\
-             sensor_msgs/RegionOfInterest roi\n"
+            "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\n\
+             float64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 \
+             binning_y\nsensor_msgs/RegionOfInterest roi\n"
         }
         "sensor_msgs/PointField" => "string name\nuint32 offset\nuint8 datatype\nuint32 count\n",
         "sensor_msgs/PointCloud2" => {

@@ -93,7 +93,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         let (fn_, tn) = (total[0] - tp, total[1] - fp);
         let mcc = (tp * tn - fp * fn_) / ((tp + fp) * (tp + fn_) * (tn + fp) * (tn + fn_)).sqrt();
         println!(
-            "{path}: res {resolution} auc_observed {:.4} mcc {mcc:.4} precision {:.4} recall {:.4} occupied {} free {}",
+            "{path}: res {resolution} auc_observed {:.4} mcc {mcc:.4} precision {:.4} recall {:.4} \
+             occupied {} free {}",
             area / (total[0] * total[1]),
             tp / (tp + fp),
             tp / (tp + fn_),

@@ -43,7 +43,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         })?;
         let (read_seconds, again) = best(|| read(&bytes))?;
         println!(
-            "{name:5} {:8.3} MB, written in {write_seconds:.3} s, read in {read_seconds:.3} s, exact: {}",
+            "{name:5} {:8.3} MB, written in {write_seconds:.3} s, read in {read_seconds:.3} s, \
+             exact: {}",
             bytes.len() as f64 / 1e6,
             again == map
         );

@@ -37,7 +37,8 @@ fn main() -> Result<(), MapError> {
             ..Similarity::IDENTITY
         };
         let points = measure(x);
-        let scan = Scan::of_points(id, world_from_sensor, &points, &[0.02]); // one sigma for all, or one per point
+        // one sigma for all, or one per point
+        let scan = Scan::of_points(id, world_from_sensor, &points, &[0.02]);
         integrate(&mut map, &scan, &IntegrationConfig::default(), 2)?;
     }
 
@@ -65,7 +66,8 @@ fn main() -> Result<(), MapError> {
     save_atomically(&folder.join("room.ot"), |file| write_ot(&map, file))?; // for octovis, MoveIt
     save_atomically(&folder.join("room.mgo"), |file| write_mgo(&map, file))?; // exact, small
     if let Some(grid) = map.projected(-0.8, 1.0)? {
-        println!("{} x {} cells seen from above", grid.width, grid.height); // grid.to_pgm() for nav2
+        // grid.to_pgm() for nav2
+        println!("{} x {} cells seen from above", grid.width, grid.height);
     }
     println!("wrote room.ot and room.mgo to {}", folder.display());
     Ok(())

@@ -172,9 +172,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     map.pack(options.threads);
     let pack_cpu = cpu_seconds() - cpu_started;
     println!(
-        "RESULT peer=monogrid rule={:?} res={} threads={} points={points} wall={wall:.4} cpu={cpu:.4} \
-         cpu_per_100k={:.6} wall_per_100k={:.6} leaf={} bricks={bricks} payloads={payloads} mem_mb={:.1} \
-         unpacked_mb={:.1} pack_cpu={pack_cpu:.2}",
+        "RESULT peer=monogrid rule={:?} res={} threads={} points={points} wall={wall:.4} \
+         cpu={cpu:.4} cpu_per_100k={:.6} wall_per_100k={:.6} leaf={} bricks={bricks} \
+         payloads={payloads} mem_mb={:.1} unpacked_mb={:.1} pack_cpu={pack_cpu:.2}",
         options.config.rule,
         options.resolution,
         options.threads,

@@ -46,7 +46,8 @@ pub enum MapError {
     },
     /// The change would take more memory than allowed; the map is as before.
     #[error(
-        "the map needs up to {needed_bytes} bytes but its budget is {budget_bytes}: raise the budget, coarsen the resolution or crop the map"
+        "the map needs up to {needed_bytes} bytes but its budget is {budget_bytes}: raise the \
+         budget, coarsen the resolution or crop the map"
     )]
     MemoryBudget {
         /// Upper bound of the memory after the change.
@@ -56,8 +57,9 @@ pub enum MapError {
     },
     /// The cells are so small that a single scan would fill the memory; nothing was done.
     #[error(
-        "cells of {cell} are too fine: a single scan would need {needed_gb:.1} GB, the map may have {budget_gb:.1} GB; \
-         cells of {fitting_cell} would fit, or allow more memory, or shorten the range"
+        "cells of {cell} are too fine: a single scan would need {needed_gb:.1} GB, the map may \
+         have {budget_gb:.1} GB; cells of {fitting_cell} would fit, or allow more memory, or \
+         shorten the range"
     )]
     TooFine {
         /// Memory that the scan would need, 10^9 bytes.
@@ -71,8 +73,8 @@ pub enum MapError {
     },
     /// The map is too large to be seen from above as a whole.
     #[error(
-        "the map is {width} x {height} cells seen from above, expected at most {most} in all: take a part of it (`monogrid crop`), \
-         or other heights"
+        "the map is {width} x {height} cells seen from above, expected at most {most} in all: take \
+         a part of it (`monogrid crop`), or other heights"
     )]
     GridSize {
         /// Cells along x.
@@ -92,7 +94,8 @@ pub enum MapError {
     },
     /// OctoMap's 16-bit keys cannot address a cell.
     #[error(
-        "cell {cell:?} is beyond OctoMap's range of 32768 cells from the origin: crop or coarsen the map"
+        "cell {cell:?} is beyond OctoMap's range of 32768 cells from the origin: crop or coarsen \
+         the map"
     )]
     OutOfOctomapRange {
         /// A cell out of range.
@@ -110,7 +113,10 @@ pub enum MapError {
     #[error("not a map: it begins neither as an OctoMap .ot or .bt file nor as a .mgo file")]
     NotAMap,
     /// A file name that asks for no format of a map.
-    #[error("cannot tell the map format from {}: expected a name that ends in {expected}", path.display())]
+    #[error(
+        "cannot tell the map format from {}: expected a name that ends in {expected}",
+        path.display()
+    )]
     Name {
         /// The name.
         path: PathBuf,

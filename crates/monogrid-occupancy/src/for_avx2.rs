@@ -8,7 +8,11 @@
 /// same bits: the operations are those of IEEE in the order in which they are written, and none are
 /// joined.
 macro_rules! for_avx2 {
-    ($(#[$doc:meta])* $vis:vis fn $name:ident($($argument:ident: $type:ty),* $(,)?) $(-> $returned:ty)? $body:block) => {
+    (
+        $(#[$doc:meta])*
+        $vis:vis fn $name:ident($($argument:ident: $type:ty),* $(,)?) $(-> $returned:ty)?
+        $body:block
+    ) => {
         $(#[$doc])*
         #[inline]
         $vis fn $name($($argument: $type),*) $(-> $returned)? {

@@ -29,10 +29,12 @@
 //!
 //! | question | of the map | many of them, or on another thread |
 //! |---|---|---|
-//! | what is here? | [`OccupancyMap::state`], [`OccupancyMap::log_odds`] | [`Snapshot::state`], [`Snapshot::states`] |
+//! | what is here? | [`OccupancyMap::state`] | [`Snapshot::state`], [`Snapshot::states`] |
+//! | how certain is that? | [`OccupancyMap::log_odds`] | |
 //! | and in a larger cell? | [`OccupancyMap::state_at_level`] | |
 //! | what does a ray hit first? | [`OccupancyMap::cast_ray`] | [`Snapshot::cast_ray`] |
-//! | does a robot fit here? | [`OccupancyMap::sphere_collides`], [`OccupancyMap::box_collides`] | the same of [`Snapshot`] |
+//! | does a ball fit here? | [`OccupancyMap::sphere_collides`] | [`Snapshot::sphere_collides`] |
+//! | does a box fit here? | [`OccupancyMap::box_collides`] | [`Snapshot::box_collides`] |
 //! | how far is the nearest obstacle? | | [`DistanceField::distance`] |
 //! | what is in this box? | [`OccupancyMap::cells_in_box`], [`OccupancyMap::keys_in_key_box`] | |
 //! | what changed? | [`OccupancyMap::bricks_changed_since`], [`OccupancyMap::difference`] | |

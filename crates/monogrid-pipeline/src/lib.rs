@@ -7,7 +7,8 @@
 //! use monogrid_pipeline::{Event, Pipeline, Settings};
 //!
 //! # fn camera_frames() -> impl Iterator<Item = (GrayImage, i64)> {
-//! #     let image = |k: usize| GrayImage::from_fn(80, 60, |x, y| ((x * 7 + y * 13 + 3 * k) % 251) as f32);
+//! #     let grey = |x, y, k| ((x * 7 + y * 13 + 3 * k) % 251) as f32;
+//! #     let image = move |k: usize| GrayImage::from_fn(80, 60, |x, y| grey(x, y, k));
 //! #     (0..).map(move |k| (image(k), 33_000_000 * k as i64))
 //! # }
 //! let pinhole = Pinhole::new(60.0, 60.0, 39.5, 29.5);

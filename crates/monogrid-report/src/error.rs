@@ -10,7 +10,8 @@ use std::path::PathBuf;
 pub enum ReportError {
     /// Another program has the port.
     #[error(
-        "port {port} of this computer cannot be used ({source}); choose another with --port, or 0 for any that is free"
+        "port {port} of this computer cannot be used ({source}); choose another with --port, or 0 \
+         for any that is free"
     )]
     Port {
         /// That was asked for.
@@ -19,7 +20,10 @@ pub enum ReportError {
         source: io::Error,
     },
     /// The name of a mesh has no ending that is a format.
-    #[error("cannot tell the format of the mesh from {}: expected a name that ends in .ply or .glb", path.display())]
+    #[error(
+        "cannot tell the format of the mesh from {}: expected a name that ends in .ply or .glb",
+        path.display()
+    )]
     MeshFormat {
         /// The name.
         path: PathBuf,

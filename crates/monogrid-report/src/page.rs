@@ -13,22 +13,35 @@ pub struct Page {
 }
 
 const STYLE: &str = "\
-:root{color-scheme:light dark;--ink:#222;--faint:#666;--ground:#fafaf8;--paper:#fff;--edge:#e0e0dc;--warn:#fff4d6;--best:#b3541e}\
-@media(prefers-color-scheme:dark){:root{--ink:#e4e4e0;--faint:#a0a09a;--ground:#121416;--paper:#1d2024;--edge:#383b40;--warn:#3a3010;--best:#f0a070}\
+:root{color-scheme:light dark;--ink:#222;--faint:#666;--ground:#fafaf8;--paper:#fff;\
+--edge:#e0e0dc;--warn:#fff4d6;--best:#b3541e}\
+@media(prefers-color-scheme:dark){:root{--ink:#e4e4e0;--faint:#a0a09a;--ground:#121416;\
+--paper:#1d2024;--edge:#383b40;--warn:#3a3010;--best:#f0a070}\
 svg .title,svg .label,svg .tick{fill:#c8c8c4}svg .grid{stroke:#34373b}}\
-body{font:15px/1.5 system-ui,sans-serif;color:var(--ink);background:var(--ground);max-width:1000px;margin:2em auto;padding:0 1em}
-h1{font-size:1.7em;margin-bottom:.2em;overflow-wrap:anywhere}h2{font-size:1.25em;margin-top:2em;border-bottom:1px solid var(--edge)}
-.lead{font-size:1.1em}.note{color:var(--faint)}.warn{background:var(--warn);border-left:4px solid #e0a800;padding:.4em .8em;margin:.4em 0}
-table{border-collapse:collapse;margin:.6em 0}td,th{padding:.25em .9em .25em 0;text-align:left;vertical-align:top}td{overflow-wrap:anywhere}
+body{font:15px/1.5 system-ui,sans-serif;color:var(--ink);background:var(--ground);\
+max-width:1000px;margin:2em auto;padding:0 1em}
+h1{font-size:1.7em;margin-bottom:.2em;overflow-wrap:anywhere}\
+h2{font-size:1.25em;margin-top:2em;border-bottom:1px solid var(--edge)}
+.lead{font-size:1.1em}.note{color:var(--faint)}\
+.warn{background:var(--warn);border-left:4px solid #e0a800;padding:.4em .8em;margin:.4em 0}
+table{border-collapse:collapse;margin:.6em 0}\
+td,th{padding:.25em .9em .25em 0;text-align:left;vertical-align:top}td{overflow-wrap:anywhere}
 th{font-weight:600;color:var(--faint)}td.n{text-align:right;font-variant-numeric:tabular-nums}
-svg{width:100%;background:var(--paper);border:1px solid var(--edge);margin:.4em 0;box-sizing:border-box}
-.grid2{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(380px,100%),1fr));gap:8px}.scroll{overflow-x:auto}
-.row{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(280px,100%),1fr));gap:6px;margin:.5em 0}.row figcaption{font-size:12px;color:var(--faint)}
-td b{color:var(--best)}h3{font-size:1.05em;margin-bottom:.2em}.dot{display:inline-block;width:.8em;height:.8em;margin:0 .3em 0 .8em}
-img{max-width:100%;border:1px solid var(--edge);box-sizing:border-box}.triple{display:grid;grid-template-columns:repeat(3,1fr);gap:6px;margin:.5em 0}
+svg{width:100%;background:var(--paper);border:1px solid var(--edge);margin:.4em 0;\
+box-sizing:border-box}
+.grid2{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(380px,100%),1fr));gap:8px}\
+.scroll{overflow-x:auto}
+.row{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(280px,100%),1fr));gap:6px;\
+margin:.5em 0}.row figcaption{font-size:12px;color:var(--faint)}
+td b{color:var(--best)}h3{font-size:1.05em;margin-bottom:.2em}\
+.dot{display:inline-block;width:.8em;height:.8em;margin:0 .3em 0 .8em}
+img{max-width:100%;border:1px solid var(--edge);box-sizing:border-box}\
+.triple{display:grid;grid-template-columns:repeat(3,1fr);gap:6px;margin:.5em 0}
 .triple figcaption,.ribbon{font-size:12px;color:var(--faint)}figure{margin:0;min-width:0}
-@media(max-width:600px){svg .tick{font-size:20px}svg .label{font-size:20px}svg .title{font-size:24px}body{margin-top:1em}}
-pre{background:var(--paper);border:1px solid var(--edge);padding:.8em;overflow:auto;font-size:12px}
+@media(max-width:600px){svg .tick{font-size:20px}svg .label{font-size:20px}\
+svg .title{font-size:24px}body{margin-top:1em}}
+pre{background:var(--paper);border:1px solid var(--edge);padding:.8em;overflow:auto;\
+font-size:12px}
 ";
 
 impl Page {
@@ -143,14 +156,16 @@ impl Page {
     /// Coloured stretches over the frames: (share of the width, colour, description).
     pub fn ribbon(&mut self, stretches: &[(f64, &str, String)]) {
         self.html(
-            "<svg viewBox=\"0 0 760 22\" role=\"img\" aria-label=\"state of tracking\" preserveAspectRatio=\"none\" style=\"height:22px\">",
+            "<svg viewBox=\"0 0 760 22\" role=\"img\" aria-label=\"state of tracking\" \
+             preserveAspectRatio=\"none\" style=\"height:22px\">",
         );
         let mut x = 0.0;
         for (share, colour, description) in stretches {
             let (width, title) = (share * 760.0, element("title", description));
             let _ = write!(
                 self.body,
-                "<rect x=\"{x:.2}\" y=\"0\" width=\"{width:.2}\" height=\"22\" fill=\"{colour}\">{title}</rect>"
+                "<rect x=\"{x:.2}\" y=\"0\" width=\"{width:.2}\" height=\"22\" \
+                 fill=\"{colour}\">{title}</rect>"
             );
             x += width;
         }
@@ -215,10 +230,10 @@ const END: &str = "</body></html>\n";
 /// What stands before it.
 fn beginning(title: &str, lead: &str, policy: &str) -> String {
     format!(
-        "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>{0}</title>\
-             <meta http-equiv=\"Content-Security-Policy\" content=\"{policy}\">\
-             <meta name=\"viewport\" content=\"width=device-width,initial-scale=1\"><style>{2}{STYLE}{3}</style></head>\
-             <body><h1>{0}</h1><p class=\"lead\">{1}</p>",
+        "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>{0}</title><meta \
+         http-equiv=\"Content-Security-Policy\" content=\"{policy}\"><meta name=\"viewport\" \
+         content=\"width=device-width,initial-scale=1\"><style>{2}{STYLE}{3}</style></head><body>\
+         <h1>{0}</h1><p class=\"lead\">{1}</p>",
         escape(title),
         escape(lead),
         svg::STYLE,

@@ -183,21 +183,24 @@ impl Plot {
         for tick in ticks(xs, if self.is_panel { 5 } else { 8 }) {
             let (x, y, text) = (px(tick), y_end + 15.0, number(tick));
             *svg += &format!(
-                "<path class=\"grid\" d=\"M{x:.1} {top}V{y_end}\"/><text class=\"tick\" x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"middle\">{text}</text>"
+                "<path class=\"grid\" d=\"M{x:.1} {top}V{y_end}\"/><text class=\"tick\" \
+                 x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"middle\">{text}</text>"
             );
         }
         for tick in ticks(ys, 5) {
             let (y, text) = (py(tick), number(tick));
             let (x, base) = (left - 6.0, y + 4.0);
             *svg += &format!(
-                "<path class=\"grid\" d=\"M{left} {y:.1}H{x_end}\"/><text class=\"tick\" x=\"{x:.1}\" y=\"{base:.1}\" text-anchor=\"end\">{text}</text>"
+                "<path class=\"grid\" d=\"M{left} {y:.1}H{x_end}\"/><text class=\"tick\" \
+                 x=\"{x:.1}\" y=\"{base:.1}\" text-anchor=\"end\">{text}</text>"
             );
         }
         let (x, y, bottom) = (0.5 * (left + x_end), 0.5 * (top + y_end), height - 8.0);
         let (x_label, y_label) = (escape(&self.x_label), escape(&self.y_label));
         *svg += &format!(
-            "<text class=\"label\" x=\"{x:.1}\" y=\"{bottom:.1}\" text-anchor=\"middle\">{x_label}</text>\
-             <text class=\"label\" transform=\"translate(14 {y:.1}) rotate(-90)\" text-anchor=\"middle\">{y_label}</text>"
+            "<text class=\"label\" x=\"{x:.1}\" y=\"{bottom:.1}\" \
+             text-anchor=\"middle\">{x_label}</text><text class=\"label\" transform=\"translate(14 \
+             {y:.1}) rotate(-90)\" text-anchor=\"middle\">{y_label}</text>"
         );
     }
 
@@ -210,7 +213,8 @@ impl Plot {
         for series in self.series.iter().rev().filter(|s| !s.name.is_empty()) {
             let (colour, name) = (series.colour, escape(&series.name));
             *svg += &format!(
-                "<text class=\"tick\" x=\"{x:.0}\" y=\"{y:.0}\" text-anchor=\"end\" style=\"fill:{colour}\">{name}</text>"
+                "<text class=\"tick\" x=\"{x:.0}\" y=\"{y:.0}\" text-anchor=\"end\" \
+                 style=\"fill:{colour}\">{name}</text>"
             );
             match self.is_panel {
                 true => y -= 14.0,

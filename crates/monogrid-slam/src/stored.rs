@@ -173,7 +173,8 @@ pub enum ContinueError {
     },
     /// An image of another size.
     #[error(
-        "keyframe {id} has {found:?} pixels, the images to be tracked {expected:?}: use the working size of the map"
+        "keyframe {id} has {found:?} pixels, the images to be tracked {expected:?}: use the \
+         working size of the map"
     )]
     Size {
         /// The keyframe.
@@ -185,8 +186,8 @@ pub enum ContinueError {
     },
     /// Keyframes of several cameras, as merged maps have.
     #[error(
-        "keyframe {id} was not made by the camera of keyframe 0: a map of several cameras cannot be continued; continue one of \
-         those that it was made of, and merge them again"
+        "keyframe {id} was not made by the camera of keyframe 0: a map of several cameras cannot \
+         be continued; continue one of those that it was made of, and merge them again"
     )]
     SeveralCameras {
         /// The first one of another camera.

@@ -74,7 +74,8 @@ fn indices_that_lead_nowhere_are_refused() {
 fn a_mesh_without_its_materials_is_grey() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("room.obj");
-    let text = "mtllib gone.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nusemtl wall\nf 1/1 2/1 3/1 4/1\n";
+    let text = "mtllib gone.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nusemtl wall\nf 1/1 \
+        2/1 3/1 4/1\n";
     std::fs::write(&path, text).unwrap();
     let model = MeshModel::read(&path).unwrap();
     assert_eq!(model.mesh.triangles.len(), 2);
@@ -87,12 +88,19 @@ fn a_mesh_without_its_materials_is_grey() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 1500, failure_persistence: None, ..Default::default() })]
+    #![proptest_config(ProptestConfig {
+        cases: 1500,
+        failure_persistence: None,
+        ..Default::default()
+    })]
 
     #[test]
     fn damaged_meshes_hold_no_more_than_their_files(
         kind in 0..3_usize,
-        damages in prop::collection::vec((any::<prop::sample::Index>(), 0..12_usize, piece()), 1..4),
+        damages in prop::collection::vec(
+            (any::<prop::sample::Index>(), 0..12_usize, piece()),
+            1..4,
+        ),
         cut in prop::option::weighted(0.2, any::<prop::sample::Index>()),
     ) {
         let (name, mut bytes) = match kind {

@@ -37,12 +37,12 @@
 //!
 //! | for | module |
 //! |---|---|
-//! | tracking and mapping with threads, listeners and sources of frames | [`pipeline`], over [`slam`] |
+//! | tracking and mapping with threads, listeners and sources | [`pipeline`], over [`slam`] |
 //! | maps of any sensor: scans in, rays, distances, OctoMap files out | [`occupancy`] |
 //! | calibrations, trajectories, recordings and folders of images | [`datasets`] |
 //! | frames of videos and cameras | [`video`] |
 //! | trajectories and maps against the truth | [`evaluation`] |
-//! | readings of an inertial sensor, known before ([`Settings::imu`]) or live ([`Pipeline::push_readings`]) | [`inertial`] |
+//! | readings of an inertial sensor ([`Pipeline::push_readings`]) | [`inertial`] |
 //! | transforms and camera models | [`geometry`] |
 //!
 //! The command of the same name is the crate `monogrid-cli`.

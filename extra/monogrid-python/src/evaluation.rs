@@ -14,7 +14,9 @@ use std::sync::Arc;
 const MAX_TRUE_CELLS: u64 = 4_000_000_000;
 
 #[pyfunction]
-#[pyo3(signature = (times, poses, true_times, true_poses, *, align = "sim3", max_difference = 0.01))]
+#[pyo3(signature = (
+    times, poses, true_times, true_poses, *, align = "sim3", max_difference = 0.01
+))]
 pub fn evaluate_trajectory<'py>(
     times: &Bound<'py, PyAny>,
     poses: &Bound<'py, PyAny>,

@@ -18,7 +18,10 @@ pub struct Imu {
 #[pymethods]
 impl Imu {
     #[new]
-    #[pyo3(signature = (imu_from_camera = None, *, gyroscope_noise = None, accelerometer_noise = None, gyroscope_walk = None, accelerometer_walk = None))]
+    #[pyo3(signature = (
+        imu_from_camera = None, *, gyroscope_noise = None, accelerometer_noise = None,
+        gyroscope_walk = None, accelerometer_walk = None
+    ))]
     fn new(
         imu_from_camera: Option<&Bound<PyAny>>,
         gyroscope_noise: Option<f64>,
@@ -69,7 +72,8 @@ pub fn readings(
     let (rates, forces) = (rows(&rates, "gyroscope")?, rows(&forces, "accelerometer")?);
     if rates.len() != times.len() || forces.len() != times.len() {
         return Err(value(format!(
-            "found {} times, {} readings of the gyroscope and {} of the accelerometer, expected as many of each",
+            "found {} times, {} readings of the gyroscope and {} of the accelerometer, expected as \
+             many of each",
             times.len(),
             rates.len(),
             forces.len()

@@ -117,11 +117,12 @@ fn metres_per_unit(depth: &Bound<PyAny>, depth_scale: Option<f64>) -> PyResult<f
         (Kind::Float | Kind::Integer, Some(metres)) => Ok(metres as f32),
         (Kind::Float, None) => Ok(1.0),
         (Kind::Integer, None) => Err(type_of(
-            "depth is an array of integers, expected floats in metres, or depth_scale for integers (0.001 or 1000 for \
-             millimetres, 5000 for TUM RGB-D)",
+            "depth is an array of integers, expected floats in metres, or depth_scale for integers \
+             (0.001 or 1000 for millimetres, 5000 for TUM RGB-D)",
         )),
         (Kind::Bool | Kind::Other, _) => Err(type_of(
-            "depth is an array of neither floats nor integers, expected floats in metres, or integers with depth_scale",
+            "depth is an array of neither floats nor integers, expected floats in metres, or \
+             integers with depth_scale",
         )),
     }
 }
@@ -169,7 +170,10 @@ impl OccupancyMap {
         py.detach(save).map_err(of_map)
     }
 
-    #[pyo3(signature = (points, pose = None, *, origin = None, sigma = None, rule = "fused", max_range = None, threads = None))]
+    #[pyo3(signature = (
+        points, pose = None, *, origin = None, sigma = None, rule = "fused", max_range = None,
+        threads = None
+    ))]
     #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
     fn insert(
         &mut self,
@@ -186,7 +190,8 @@ impl OccupancyMap {
         if let Some(origin) = origin {
             if pose.is_some() {
                 return Err(value(
-                    "give a pose for points in the sensor's frame, or the origin of points in the map's, not both",
+                    "give a pose for points in the sensor's frame, or the origin of points in the \
+                     map's, not both",
                 ));
             }
             finite(&origin, "origin")?;
@@ -204,7 +209,10 @@ impl OccupancyMap {
         self.insert_points(py, &how, rows(&array, "points")?, sigma, world)
     }
 
-    #[pyo3(signature = (depth, fx, fy, cx, cy, pose = None, *, depth_scale = None, relative_sigma = 0.01, rule = "fused", max_range = None, threads = None))]
+    #[pyo3(signature = (
+        depth, fx, fy, cx, cy, pose = None, *, depth_scale = None, relative_sigma = 0.01,
+        rule = "fused", max_range = None, threads = None
+    ))]
     #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
     fn insert_depth(
         &mut self,

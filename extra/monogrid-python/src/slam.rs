@@ -27,7 +27,10 @@ pub struct Camera {
 #[pymethods]
 impl Camera {
     #[new]
-    #[pyo3(signature = (width, height, fx, fy, cx, cy, distortion = None, *, model = "radial-tangential", rolling_shutter_ms = 0.0))]
+    #[pyo3(signature = (
+        width, height, fx, fy, cx, cy, distortion = None, *, model = "radial-tangential",
+        rolling_shutter_ms = 0.0
+    ))]
     #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
     fn new(
         width: usize,
@@ -207,7 +210,9 @@ fn finished() -> PyErr {
 #[pymethods]
 impl Slam {
     #[new]
-    #[pyo3(signature = (camera, *, imu = None, mask = None, config = None, settings = Vec::new(), threads = None))]
+    #[pyo3(signature = (
+        camera, *, imu = None, mask = None, config = None, settings = Vec::new(), threads = None
+    ))]
     fn new(
         py: Python,
         camera: PyRef<Camera>,
@@ -300,7 +305,8 @@ fn grey(image: &Bound<PyAny>, (width, height): (usize, usize)) -> PyResult<GrayI
                 .map_or_else(|_| String::new(), |v| v.to_string())
         };
         value(format!(
-            "found an image of shape {} and type {}, expected uint8 of shape ({height}, {width}) or ({height}, {width}, 3)",
+            "found an image of shape {} and type {}, expected uint8 of shape ({height}, {width}) \
+             or ({height}, {width}, 3)",
             say("shape"),
             say("dtype")
         ))

@@ -36,7 +36,8 @@ impl Page {
             token: format!("/{token}"),
         });
         page.ok_or_else(|| {
-            format!("{url} is no address of a run, expected http://127.0.0.1:PORT/TOKEN/ as `monogrid run --view` prints it")
+            format!("{url} is no address of a run, expected http://127.0.0.1:PORT/TOKEN/ as \
+                `monogrid run --view` prints it")
         })
     }
 

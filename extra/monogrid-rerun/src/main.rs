@@ -21,8 +21,9 @@ const ASK_EVERY: Duration = Duration::from_millis(150);
 
 const USAGE: &str = "usage: monogrid-rerun http://127.0.0.1:PORT/TOKEN/ [--rrd FILE]
 
-Shows the run of `monogrid run --view` at this address in the Rerun viewer (the program `rerun` on the PATH), or writes it to FILE.
-With - in place of the address, it is the first line of standard input, which other users of the computer do not see.
+Shows the run of `monogrid run --view` at this address in the Rerun viewer (the program `rerun` on
+the PATH), or writes it to FILE. With - in place of the address, it is the first line of standard
+input, which other users of the computer do not see.
 `monogrid run --view=rerun` and `--view=rrd=FILE` call it.";
 
 fn main() -> ExitCode {
@@ -56,7 +57,8 @@ fn main() -> ExitCode {
 /// Text as a terminal may have it: answers and addresses come from outside, and what it would obey
 /// is shown instead.
 fn printable(text: &str) -> String {
-    let turns = |c| matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    let turns = |c| matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}'
+        | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
     let is_obeyed = |c: char| turns(c) || c.is_control() && !matches!(c, '\n' | '\t');
     let shown = text.chars().map(|c| match is_obeyed(c) {
         true => format!("\\u{:04x}", u32::from(c)),

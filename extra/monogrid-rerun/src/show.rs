@@ -152,7 +152,8 @@ mod tests {
             "path": [[6, 0, 0, 0], [7, 0.1, 0, 0]],
             "keyframes": [keyframe(0), keyframe(1)],
             "poses": [[0, 1.0, identity], [1, 2.0, identity]],
-            "cells": {"edge": 0.1, "first": [0, 0, 0], "count": [1, 0], "smallest": 1, "occupied": "AAAAAAAAyAA=", "free": ""},
+            "cells": {"edge": 0.1, "first": [0, 0, 0], "count": [1, 0], "smallest": 1,
+                "occupied": "AAAAAAAAyAA=", "free": ""},
         }))
         .unwrap()
     }

@@ -29,7 +29,10 @@ pub struct Args {
     /// Time that the camera takes from its first row to the last, ms: rows are put right, which
     /// delays poses by an image [default: as
     /// --calibration says, else 0]
-    #[arg(long, value_name = "MS", value_parser = |text: &str| within(text, -1000.0..=1000.0, "ms"), allow_hyphen_values = true)]
+    #[arg(
+        long, value_name = "MS", value_parser = |text: &str| within(text, -1000.0..=1000.0, "ms"),
+        allow_hyphen_values = true
+    )]
     pub rolling_shutter: Option<f64>,
     /// Topic of an inertial sensor beside the camera (sensor_msgs/Imu), on the clock of the images:
     /// the map becomes level and metric
@@ -65,7 +68,10 @@ pub struct Args {
     #[arg(long, value_name = "LOW,HIGH", value_parser = band, allow_hyphen_values = true)]
     pub height_band: Option<[f64; 2]>,
     /// Seconds between maps at least
-    #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = |text: &str| within(text, 0.05..=3600.0, "s"))]
+    #[arg(
+        long, value_name = "SECONDS", default_value_t = 1.0,
+        value_parser = |text: &str| within(text, 0.05..=3600.0, "s")
+    )]
     pub map_period: f64,
     /// Where the service `save` makes new folders
     #[arg(long, value_name = "DIR", default_value = ".")]
@@ -90,7 +96,10 @@ pub struct FrameArgs {
     pub base_frame: String,
     /// Where the camera sits on the base: place, m, and angles of its body (x ahead, y left, z up),
     /// rad
-    #[arg(long, value_name = "X,Y,Z,ROLL,PITCH,YAW", value_parser = numbers::<6>, allow_hyphen_values = true)]
+    #[arg(
+        long, value_name = "X,Y,Z,ROLL,PITCH,YAW", value_parser = numbers::<6>,
+        allow_hyphen_values = true
+    )]
     pub base_from_camera: Option<[f64; 6]>,
     /// Where the camera sits is published by others (a robot's description): not here
     #[arg(long)]

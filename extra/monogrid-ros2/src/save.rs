@@ -44,7 +44,8 @@ fn note([low, high]: [f64; 2], is_metric: bool) -> String {
         return heights;
     }
     heights
-        + "# WARNING: nobody has said how long a unit is: lengths are not metres (parameter metres_per_unit)\n"
+        + "# WARNING: nobody has said how long a unit is: lengths are not metres (parameter \
+            metres_per_unit)\n"
 }
 
 /// The first of `monogrid-1`, `monogrid-2`, ... that does not exist.

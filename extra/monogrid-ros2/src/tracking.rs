@@ -206,7 +206,8 @@ impl Tracking {
         let stamp = header.stamp;
         if let Some(last) = self.last_stamp.filter(|last| *last >= stamp) {
             return Err(format!(
-                "an image of {} ns came after one of {} ns: time runs backwards; call reset where that is meant",
+                "an image of {} ns came after one of {} ns: time runs backwards; call reset where \
+                 that is meant",
                 stamp.nanoseconds(),
                 last.nanoseconds()
             ));

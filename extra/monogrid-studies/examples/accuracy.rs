@@ -88,7 +88,8 @@ fn track(slam: &mut Slam, sequence: &Sequence, options: &Options) -> Vec<Stamped
     let frames = used.len() as f64;
     let [tracking, depth, graph] = times.map(|time| time / frames);
     println!(
-        "{frames} frames, {} keyframes, states {counts:?} [init good degraded fragment lost], {:.1} fps, ms/frame tracking {tracking:.1} depth {depth:.1} graph {graph:.1}",
+        "{frames} frames, {} keyframes, states {counts:?} [init good degraded fragment lost], \
+         {:.1} fps, ms/frame tracking {tracking:.1} depth {depth:.1} graph {graph:.1}",
         slam.keyframes().len(),
         frames / begin.elapsed().as_secs_f64(),
     );
@@ -124,7 +125,8 @@ fn print_errors(name: &str, poses: &[StampedPose], truth: &[StampedPose]) -> Opt
     let errors = evaluate_trajectory(poses, truth, &TrajectoryConfig::default());
     let errors = errors.inspect_err(|e| println!("{name}: {e}")).ok()?;
     println!(
-        "{name}: ATE {:.4} m, RPE {:.4} m {:.3} deg, scale {:.4}, drift {:?}, coverage {:.3}, matched {}",
+        "{name}: ATE {:.4} m, RPE {:.4} m {:.3} deg, scale {:.4}, drift {:?}, coverage {:.3}, \
+         matched {}",
         errors.ate_rmse,
         errors.rpe_trans_rmse,
         errors.rpe_rot_rmse_deg,
@@ -255,7 +257,8 @@ fn print_keyframe(keyframe: &Keyframe, compared: &[Compared]) {
         values.iter().filter(|v| test(**v)).count() as f64 / values.len() as f64
     };
     println!(
-        "kf {} frame {} points {} scale {median:.3} within 3% {:.2} 10% {:.2} | normalised: within 2 sigma {:.2}, abs median {:.2}",
+        "kf {} frame {} points {} scale {median:.3} within 3% {:.2} 10% {:.2} | normalised: within \
+         2 sigma {:.2}, abs median {:.2}",
         keyframe.id,
         keyframe.frame_index,
         keyframe.pixels.len(),
@@ -279,7 +282,8 @@ fn print_sigmas(pooled: &[Compared]) {
             let median = median(&mut errors);
             let mut deviations: Vec<f64> = errors.iter().map(|e| (e - median).abs()).collect();
             println!(
-                "sigma x {factor} + {relative} d: median {median:.2}, robust deviation {:.2}, within 2 sigma {inside:.3}",
+                "sigma x {factor} + {relative} d: median {median:.2}, robust deviation {:.2}, \
+                 within 2 sigma {inside:.3}",
                 1.4826 * self::median(&mut deviations)
             );
         }

@@ -164,7 +164,8 @@ fn main() {
         println!("{fragment:?}");
     }
     println!(
-        "{} frames, parts begin at {begins:?}, states {counts:?} [init good degraded fragment lost], {:?}",
+        "{} frames, parts begin at {begins:?}, states {counts:?} [init good degraded fragment \
+         lost], {:?}",
         frames.len(),
         slam.graph_stats()
     );

@@ -161,7 +161,8 @@ fn main() {
         in_time += usize::from(result.is_known && result.found_after.is_some_and(|n| n <= 30));
         wrong += usize::from(result.worst_m > 0.2 || result.worst_deg > 5.0);
         println!(
-            "{seed:2} loss at {loss} {case:?}: known {}, found after {:?} frames, worst {:.3} m {:.2} deg, relocalised {} times",
+            "{seed:2} loss at {loss} {case:?}: known {}, found after {:?} frames, worst {:.3} m \
+             {:.2} deg, relocalised {} times",
             result.is_known,
             result.found_after,
             result.worst_m,
@@ -170,6 +171,7 @@ fn main() {
         );
     }
     println!(
-        "known places {known_cases}, found within a second {in_time}; cases with a wrong pose {wrong} of {cases}"
+        "known places {known_cases}, found within a second {in_time}; cases with a wrong pose \
+         {wrong} of {cases}"
     );
 }

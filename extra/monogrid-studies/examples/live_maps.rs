@@ -170,8 +170,8 @@ fn beside_tracking(folder: &Path, mut live: LiveMaps, poses: &[Sim3], frames: us
         (beside, mapper.join().unwrap())
     });
     println!(
-        "tracking of {} frames per second of CPU: alone {:.1}, beside {closures} closures without a \
-         pause {:.1} ({:.0} %); per second: {:.1}, {:.1} ({:.0} %)",
+        "tracking of {} frames per second of CPU: alone {:.1}, beside {closures} closures without \
+         a pause {:.1} ({:.0} %); per second: {:.1}, {:.1} ({:.0} %)",
         images.len(),
         alone.0,
         beside.0,

@@ -38,7 +38,8 @@ fn main() {
     let (mut lost, mut used_again) = (0, 0);
     let (mut millis, mut frames) = (0.0, 0);
     println!(
-        "way, frames, keyframes, edges, points, depth MB, RSS MB, ms per frame, used again, lost, ATE m"
+        "way, frames, keyframes, edges, points, depth MB, RSS MB, ms per frame, used again, lost, \
+         ATE m"
     );
     for (index, &(way, source)) in order.iter().enumerate() {
         let timestamp_ns = index as i64 * INTERVAL_NS;

@@ -108,8 +108,8 @@ fn tilt_world(name: &str) {
         least_sure = least_sure.min(found.confidence);
     }
     println!(
-        "{name}: first keyframe tilted: up off by at most {worst_deg:.2} degrees, floor by {worst_floor:.3} m, confidence at least \
-         {least_sure:.2}"
+        "{name}: first keyframe tilted: up off by at most {worst_deg:.2} degrees, floor by \
+         {worst_floor:.3} m, confidence at least {least_sure:.2}"
     );
     for roll_deg in [20.0_f64, 40.0] {
         let roll = Rotation::from_scaled_axis(Vec3::z() * roll_deg.to_radians());

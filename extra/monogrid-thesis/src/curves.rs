@@ -133,7 +133,8 @@ fn gaussian_figures() -> Vec<Figure> {
         ),
         figure(
             "figure-5.4-thrun",
-            "Thrun's model in the thesis' closed form (last line of 5.2.12), z = 2 m, sigma = 0.3 m, L = 1 m.",
+            "Thrun's model in the thesis' closed form (last line of 5.2.12), z = 2 m, sigma = 0.3 \
+             m, L = 1 m.",
             plot("5.4 Thrun", alone(&thrun(1.0), 0.3), 4.0),
         ),
     ]
@@ -164,7 +165,8 @@ fn thrun_figures() -> Vec<Figure> {
     vec![
         figure(
             "figure-5.5-thrun-buffer",
-            "z = 1 m, sigma = 0.1 m. Below L = 0.861 sigma the measured range itself is less likely occupied than not.",
+            "z = 1 m, sigma = 0.1 m. Below L = 0.861 sigma the measured range itself is less \
+             likely occupied than not.",
             plot("5.5 Thrun over L", over_l, 2.0),
         ),
         figure(
@@ -174,7 +176,8 @@ fn thrun_figures() -> Vec<Figure> {
         ),
         figure(
             "figure-5.7-thrun-range",
-            "L = 0.4 m, sigma = 0.05 m at 1 m, growing with the square of the range: the peak moves behind the measurement.",
+            "L = 0.4 m, sigma = 0.05 m at 1 m, growing with the square of the range: the peak \
+             moves behind the measurement.",
             plot(varying, over_range, 6.0),
         ),
     ]
@@ -210,7 +213,8 @@ fn andert_figures() -> Vec<Figure> {
         ),
         figure(
             "figure-5.11-andert-stereo",
-            "k = 0.1 m; baseline 0.3 m, focal length 700 px, disparity known to half a pixel: sigma grows with the square of the range, also along the ray.",
+            "k = 0.1 m; baseline 0.3 m, focal length 700 px, disparity known to half a pixel: \
+             sigma grows with the square of the range, also along the ray.",
             plot("5.11 Andert, stereo", stereo, 20.0),
         ),
     ]

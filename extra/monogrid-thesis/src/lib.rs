@@ -21,7 +21,8 @@ use monogrid_app::process::failure::CommandResult;
 pub enum ThesisCommand {
     /// Every resolution, sensor model and parameter on recordings, with tables and figures
     #[command(
-        after_help = "Example: monogrid thesis sweep runs/room/recording.mgk --truth truth.ot --align gt:groundtruth.txt --out sweeps/room"
+        after_help = "Example: monogrid thesis sweep runs/room/recording.mgk --truth truth.ot \
+            --align gt:groundtruth.txt --out sweeps/room"
     )]
     Sweep(sweep::command::SweepArgs),
     /// Curves of the inverse sensor models: probability over range, for any parameters
@@ -29,7 +30,8 @@ pub enum ThesisCommand {
     SensorModel(sensor_model::SensorModelArgs),
     /// Train the words by which FAB-MAP knows places, on images of many places
     #[command(
-        after_help = "Example: monogrid thesis vocabulary recordings/kitchen recordings/office --every 10 --out places.vocabulary"
+        after_help = "Example: monogrid thesis vocabulary recordings/kitchen recordings/office \
+            --every 10 --out places.vocabulary"
     )]
     Vocabulary(vocabulary::VocabularyArgs),
 }

@@ -37,10 +37,16 @@ pub struct SensorModelArgs {
     #[arg(long, value_enum)]
     pub sensor_model: Option<CurveModel>,
     /// Measured ranges of that model
-    #[arg(long, value_name = "Z,...", value_delimiter = ',', value_parser = positive, default_value = "2")]
+    #[arg(
+        long, value_name = "Z,...", value_delimiter = ',', value_parser = positive,
+        default_value = "2"
+    )]
     pub range: Vec<f64>,
     /// Standard deviations of the range at 1 m
-    #[arg(long, value_name = "S,...", value_delimiter = ',', value_parser = positive, default_value = "0.05")]
+    #[arg(
+        long, value_name = "S,...", value_delimiter = ',', value_parser = positive,
+        default_value = "0.05"
+    )]
     pub sigma: Vec<f64>,
     /// Let sigma grow with the square of the measured range
     #[arg(long)]
@@ -79,8 +85,8 @@ pub fn execute(args: &SensorModelArgs) -> CommandResult {
     }
     let html = page.finish(
         "Inverse sensor models",
-        "How likely a cell at a range along the ray is occupied, given a measured range. The curves of \
-         the thesis' chapter 5.",
+        "How likely a cell at a range along the ray is occupied, given a measured range. The \
+         curves of the thesis' chapter 5.",
     );
     folder.write("sensor-models.html", html)?;
     let file = args.plot.join("sensor-models.html");

@@ -136,9 +136,9 @@ fn against(input: &Input, shown: &Estimate) -> Vec<String> {
         return against_images(input);
     }
     vec![format!(
-        "the calibration does not fit what was seen: with another focal length (about {ratio:.2} times the given one) and \
-         principal point ({:.0} % of the image beside the given one) the points of the map agree better; \
-         calibrate anew",
+        "the calibration does not fit what was seen: with another focal length (about {ratio:.2} \
+         times the given one) and principal point ({:.0} % of the image beside the given one) the \
+         points of the map agree better; calibrate anew",
         100.0 * offset
     )]
 }
@@ -185,9 +185,9 @@ pub fn against_images(input: &Input) -> Vec<String> {
     if is_focal_doubted(focal, &shown) {
         let (low, high) = shown.focal_interval_px();
         warnings.push(format!(
-            "the calibration does not fit the images: its focal length is {focal:.1} px, the points say \
-             {:.1} px (95 %: {low:.1} to {high:.1}); calibrate anew, or leave it out to have the camera \
-             estimated",
+            "the calibration does not fit the images: its focal length is {focal:.1} px, the \
+             points say {:.1} px (95 %: {low:.1} to {high:.1}); calibrate anew, or leave it out to \
+             have the camera estimated",
             shown.intrinsics.focal
         ));
     }
@@ -197,8 +197,8 @@ pub fn against_images(input: &Input) -> Vec<String> {
         if is_centre_doubted(&centre, &free, limit_px) {
             let better = free.intrinsics.centre;
             warnings.push(format!(
-                "the calibration does not fit the images: its principal point is ({:.1}, {:.1}) px, the \
-                 points say ({:.1}, {:.1}) px; are cx and cy swapped?",
+                "the calibration does not fit the images: its principal point is ({:.1}, {:.1}) \
+                 px, the points say ({:.1}, {:.1}) px; are cx and cy swapped?",
                 centre.x, centre.y, better.x, better.y
             ));
         }

@@ -59,8 +59,8 @@ pub fn refine(input: &mut Input, config: &RunConfig) -> Result<(), Failure> {
         let [with, without] = [&again, &posed[..num_frames]].map(num_posed);
         input.return_to_camera(before);
         input.warnings.push(format!(
-            "with the camera that the first pass shows tracking went worse ({with} of the first {num_frames} frames have a pose, {without} \
-             without it): the camera is that from before"
+            "with the camera that the first pass shows tracking went worse ({with} of the first \
+             {num_frames} frames have a pose, {without} without it): the camera is that from before"
         ));
     }
     Ok(())
@@ -201,8 +201,8 @@ fn given_as_shown(
         camera,
         readout_ms: None,
         interpretation: format!(
-            "{interpretation}; refined: focal length times {ratio:.4} (95 %: within {:.1} %), principal point ({:.1}, \
-             {:.1}), radial distortion {left:+.4} (95 %: within {:.4})",
+            "{interpretation}; refined: focal length times {ratio:.4} (95 %: within {:.1} %), \
+             principal point ({:.1}, {:.1}), radial distortion {left:+.4} (95 %: within {:.4})",
             percent(shown.sigma[0]),
             camera.pinhole.cx,
             camera.pinhole.cy,

@@ -67,8 +67,9 @@ impl ShutterSearch {
         let found_ms = self.wanted_ms;
         (self.is_on && found_ms != 0.0).then(|| {
             format!(
-                "the camera has a rolling shutter of about {found_ms:.0} ms, which was taken out of the images from frame {} on; \
-                 with --rolling-shutter {found_ms:.0} it is from the first one on",
+                "the camera has a rolling shutter of about {found_ms:.0} ms, which was taken out \
+                 of the images from frame {} on; with --rolling-shutter {found_ms:.0} it is from \
+                 the first one on",
                 self.taken_out.first_changed().unwrap_or_default()
             )
         })

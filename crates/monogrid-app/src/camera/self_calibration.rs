@@ -167,8 +167,8 @@ impl OwnCalibration {
         let (fov_deg, source) = (expected.fov_deg, expected.source);
         Some(Self {
             warnings: vec![format!(
-                "the focal length is not known: {reason}; {fov_deg:.0} degrees along the longer side are taken, {source}; give \
-                 --calibration FILE or --fov DEG"
+                "the focal length is not known: {reason}; {fov_deg:.0} degrees along the longer \
+                 side are taken, {source}; give --calibration FILE or --fov DEG"
             )],
             ..own
         })
@@ -199,13 +199,15 @@ impl OwnCalibration {
             camera: Intrinsics::from_parameters(&expected.prior(size, 1.0).mean).camera(size)?,
             readout_ms: None,
             interpretation: format!(
-                "{source}: pinhole with a field of view of {fov_deg:.0} degrees along the longer side"
+                "{source}: pinhole with a field of view of {fov_deg:.0} degrees along the longer \
+                 side"
             ),
             is_assumed: true,
             warnings: vec![format!(
-                "the motion of the camera does not show its focal length (uncertain by {percent:.0} \
-                 %): {fov_deg:.0} degrees are taken, {source}, unless the map of a first pass shows it; turn \
-                 the camera while moving it sideways, or give --calibration FILE or --fov DEG"
+                "the motion of the camera does not show its focal length (uncertain by \
+                 {percent:.0} %): {fov_deg:.0} degrees are taken, {source}, unless the map of a \
+                 first pass shows it; turn the camera while moving it sideways, or give \
+                 --calibration FILE or --fov DEG"
             )],
         })
     }
@@ -293,7 +295,8 @@ fn why_not_followed(times_ns: &[i64]) -> &'static str {
     match interval_ns > FAR_APART_NS {
         true => "the images are too far apart to follow anything from one to the next",
         false => {
-            "nothing can be followed through the images (the picture hardly moves, has no texture, or jumps from image to image)"
+            "nothing can be followed through the images (the picture hardly moves, has no texture, \
+             or jumps from image to image)"
         }
     }
 }

@@ -12,15 +12,16 @@ use std::path::Path;
 
 const HEAD: &str = "# Configuration
 
-A run is decided by its input and by the settings below. Later sources win: the profile (`--profile default`, `fast` or
-`thesis`), a file (`--config FILE`, TOML), `--set KEY=VALUE` (for example `--set mapping.resolution=0.02`), and the other
-options of the command line. Every run writes its settings to `config.toml`, which `--config` reads again.
+A run is decided by its input and by the settings below. Later sources win: the profile
+(`--profile default`, `fast` or `thesis`), a file (`--config FILE`, TOML), `--set KEY=VALUE` (for
+example `--set mapping.resolution=0.02`), and the other options of the command line. Every run
+writes its settings to `config.toml`, which `--config` reads again.
 
-A profile also fixes parameters that are not settings. Unknown names and values outside their range are errors. Names that
-only earlier versions had are read with a warning and have no effect.
+A profile also fixes parameters that are not settings. Unknown names and values outside their range
+are errors. Names that only earlier versions had are read with a warning and have no effect.
 
-Where a profile differs from the default, its value stands below it. Ranges include their ends. Map units are metres where
-the scale is known.
+Where a profile differs from the default, its value stands below it. Ranges include their ends. Map
+units are metres where the scale is known.
 
 ## Top level
 
@@ -103,7 +104,8 @@ fn manual() -> String {
         "working_pixels",
         &defaults(&|config| config.working_pixels.to_string()),
         &[range(least, most, "pixels")],
-        "Larger images are reduced to about this many pixels, where `--size` does not give their size.",
+        "Larger images are reduced to about this many pixels, where `--size` does not give their \
+         size.",
         "Lower it for speed, raise it for detail.",
     ));
     sections(MAPPING, |config| &config.mapping, &mut manual);

@@ -635,7 +635,8 @@ fn readings(
 fn recorded_calibration(video: &VideoSource) -> Result<Option<Calibration>, Failure> {
     let recorded = video.recorded.as_ref().map_err(|error| {
         Failure::input(format!(
-            "{error}; give another calibration with --calibration FILE, or the horizontal field of view with --fov DEG"
+            "{error}; give another calibration with --calibration FILE, or the horizontal field of \
+             view with --fov DEG"
         ))
     })?;
     Ok(recorded.map(|camera| Calibration {
@@ -735,20 +736,23 @@ fn scale_to(calibration: &mut Calibration, (width, height): (usize, usize)) -> R
         return Ok(());
     }
     let said = format!(
-        "calibration {} is for images of {found_width}x{found_height} pixels, the images are {width}x{height}",
+        "calibration {} is for images of {found_width}x{found_height} pixels, the images are \
+         {width}x{height}",
         calibration.path.display()
     );
     let factor_x = width as f64 / found_width as f64;
     let factor_y = height as f64 / found_height as f64;
     if (factor_x / factor_y - 1.0).abs() > MAX_ASPECT_CHANGE {
         return Err(Failure::input(format!(
-            "{said}, which is another picture and not only another size; calibrate at the size of the images"
+            "{said}, which is another picture and not only another size; calibrate at the size of \
+             the images"
         )));
     }
     camera.pinhole = camera.pinhole.scaled(factor_x, factor_y);
     (camera.width, camera.height) = (width, height);
     calibration.notes.push(format!(
-        "{said}: it was scaled, which is right if the images were made smaller or larger and nothing was cut off"
+        "{said}: it was scaled, which is right if the images were made smaller or larger and \
+         nothing was cut off"
     ));
     Ok(())
 }
@@ -767,7 +771,8 @@ fn make_square(calibration: &mut Calibration, video: &VideoSource) {
     camera.pinhole = camera.pinhole.scaled(factor_x, factor_y);
     (camera.width, camera.height) = video.size;
     calibration.notes.push(format!(
-        "calibration {} is for the images as they are stored, {stored_width}x{stored_height}: it was stretched with them",
+        "calibration {} is for the images as they are stored, {stored_width}x{stored_height}: it \
+         was stretched with them",
         calibration.path.display()
     ));
 }

@@ -102,8 +102,9 @@ impl Inertial {
             }
             (None, None) => {
                 return Ok(Err(format!(
-                    "inertial readings of {} are left out: nothing says how the camera is mounted on the sensor (there are no \
-                     transforms in /tf_static between {sensor:?} and {camera:?}); give --imu-from-camera FILE",
+                    "inertial readings of {} are left out: nothing says how the camera is mounted \
+                     on the sensor (there are no transforms in /tf_static between {sensor:?} and \
+                     {camera:?}); give --imu-from-camera FILE",
                     readings.topic
                 )));
             }
@@ -150,7 +151,10 @@ impl Inertial {
                 format!("{rate:.0} inertial readings per second: 100 and more follow a hand")
             }),
             (gap > GAP_SECS).then(|| {
-                format!("up to {gap:.2} s without an inertial reading, over which nothing is known of the motion")
+                format!(
+                    "up to {gap:.2} s without an inertial reading, over which nothing is known \
+                    of the motion"
+                )
             }),
             (saturated > 0).then(|| {
                 format!("{saturated} inertial readings are at the end of the sensor's range")
@@ -173,7 +177,8 @@ fn given_mount(args: &SourceArgs) -> Result<Option<(Se3, String)>, Failure> {
 fn mounted(body_from_imu: Option<Se3>, body_from_camera: Option<Se3>) -> (Se3, String) {
     let said = match (body_from_imu, body_from_camera) {
         (None, None) => {
-            "nothing says how the camera is mounted on the sensor: its axes are taken to be the camera's (--imu-from-camera)"
+            "nothing says how the camera is mounted on the sensor: its axes are taken to be the \
+             camera's (--imu-from-camera)"
         }
         _ => "mounted as the files of sensor and camera say",
     };

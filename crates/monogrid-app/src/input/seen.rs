@@ -101,12 +101,13 @@ pub fn watch_of_working_images(input: &Input) -> MotionWatch {
 pub fn no_map(did: CameraMotion) -> Option<&'static str> {
     match did {
         CameraMotion::StandsStill => Some(
-            "The camera stands still: one view shows no depth, and there is no map. Walk with the camera while filming, sideways or \
-             around what is to be mapped.",
+            "The camera stands still: one view shows no depth, and there is no map. Walk with the \
+             camera while filming, sideways or around what is to be mapped.",
         ),
         CameraMotion::OnlyTurns => Some(
-            "The camera only turns: one rotation after the other explains all motion in the picture, which shows no depth, and there \
-             is no map. Move the camera sideways while filming, by a tenth of the distance to what it sees or more.",
+            "The camera only turns: one rotation after the other explains all motion in the \
+             picture, which shows no depth, and there is no map. Move the camera sideways while \
+             filming, by a tenth of the distance to what it sees or more.",
         ),
         CameraMotion::Moves | CameraMotion::Unclear => None,
     }

@@ -140,8 +140,8 @@ fn refuse_foreign(path: &Path, foreign: &[Entry]) -> Result<(), Failure> {
         more => format!(" and {more} other files"),
     };
     Err(Failure::input(format!(
-        "output folder {} holds {}{others}, which monogrid did not write or which changed since; choose another, or \
-         write beside them with --force (those of the same name are replaced)",
+        "output folder {} holds {}{others}, which monogrid did not write or which changed since; \
+         choose another, or write beside them with --force (those of the same name are replaced)",
         path.display(),
         first.name.display()
     )))

@@ -64,7 +64,9 @@ macro_rules! print {
 #[macro_export]
 macro_rules! println {
     () => { $crate::process::console::out(format_args!("\n")) };
-    ($($arg:tt)*) => { $crate::process::console::out(format_args!("{}\n", format_args!($($arg)*))) };
+    ($($arg:tt)*) => {
+        $crate::process::console::out(format_args!("{}\n", format_args!($($arg)*)))
+    };
 }
 /// As that of the standard library, through [`printable`], and without a panic.
 #[macro_export]
@@ -75,7 +77,9 @@ macro_rules! eprint {
 #[macro_export]
 macro_rules! eprintln {
     () => { $crate::process::console::err(format_args!("\n")) };
-    ($($arg:tt)*) => { $crate::process::console::err(format_args!("{}\n", format_args!($($arg)*))) };
+    ($($arg:tt)*) => {
+        $crate::process::console::err(format_args!("{}\n", format_args!($($arg)*)))
+    };
 }
 
 #[cfg(test)]

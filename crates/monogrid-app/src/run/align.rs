@@ -156,7 +156,8 @@ impl Up {
         let direction = <[f64; 3]>::try_from(numbers).ok().map(Vec3::from);
         let direction = direction.filter(|d| d.norm().is_normal() && d.norm() < 1e6);
         direction.map(|direction| Self::Given(direction.normalize())).ok_or_else(|| {
-            "expected `scene`, `first-camera`, or a direction x,y,z in the first camera (x right, y down, z ahead)"
+            "expected `scene`, `first-camera`, or a direction x,y,z in the first camera (x right, \
+             y down, z ahead)"
                 .to_owned()
         })
     }
@@ -226,7 +227,8 @@ fn level(up_in_world: &Vec3, floor: Option<&Floor>, said: &str, from: &'static s
     let origin = match floor {
         Some(floor) if floor.is_floor() => "z = 0 at the floor, below the first keyframe",
         Some(_) => {
-            "z = 0 at the largest level surface (a table?), below the first keyframe (no floor was seen)"
+            "z = 0 at the largest level surface (a table?), below the first keyframe (no floor was \
+             seen)"
         }
         None => "origin at the first keyframe (no floor was seen)",
     };

@@ -40,7 +40,8 @@ pub fn verdict(summary: &Summary, tracked: &Tracked) -> String {
             let reason = last.and_then(|report| report.reason);
             let reason = reason.map_or("no usable frame".into(), |reason| reason.to_string());
             format!(
-                "Tracking never started ({reason}). The camera must move sideways while it sees texture; there is no map."
+                "Tracking never started ({reason}). The camera must move sideways while it sees \
+                 texture; there is no map."
             )
         }
         Status::StandsStill | Status::OnlyTurns => {
@@ -48,21 +49,26 @@ pub fn verdict(summary: &Summary, tracked: &Tracked) -> String {
             said.unwrap_or("There is no map.").to_owned()
         }
         Status::NotRecognised if num_apart > 0 => format!(
-            "The camera was never recognised in the map. What it saw is kept as {num_apart} fragment(s) beside it, which a later run may join."
+            "The camera was never recognised in the map. What it saw is kept as {num_apart} \
+             fragment(s) beside it, which a later run may join."
         ),
-        Status::NotRecognised => "The camera was never recognised in the map: no frame shows a place that it holds. The map is as it was.".to_owned(),
+        Status::NotRecognised => "The camera was never recognised in the map: no frame shows a \
+            place that it holds. The map is as it was."
+            .to_owned(),
         Status::Fragment => format!(
-            "Tracking was lost and went on in a fragment that was never recognised as part of the map; {share} % of the frames have a pose in the map."
+            "Tracking was lost and went on in a fragment that was never recognised as part of the \
+             map; {share} % of the frames have a pose in the map."
         ),
         Status::Lost => format!(
-            "Tracking was lost for good; {share} % of the frames have a pose, and what was mapped until then is saved."
+            "Tracking was lost for good; {share} % of the frames have a pose, and what was mapped \
+             until then is saved."
         ),
-        Status::Failed => format!(
-            "A part of the program failed; {share} % of the frames until then have a pose."
-        ),
-        Status::Unreadable => format!(
-            "The images became unreadable; {share} % of the frames until then have a pose."
-        ),
+        Status::Failed => {
+            format!("A part of the program failed; {share} % of the frames until then have a pose.")
+        }
+        Status::Unreadable => {
+            format!("The images became unreadable; {share} % of the frames until then have a pose.")
+        }
         Status::BrokeOff => format!(
             "The source broke off before its end; {share} % of the frames until then have a pose."
         ),
@@ -77,7 +83,8 @@ pub fn verdict(summary: &Summary, tracked: &Tracked) -> String {
             after_losses(num_lost, num_apart)
         ),
         Status::Done if summary.keyframes == 1 && !summary.localise_only => format!(
-            "All that is mapped was seen from about one place: the map has one keyframe, and {} of {} frames were seen from near it.",
+            "All that is mapped was seen from about one place: the map has one keyframe, and {} of \
+             {} frames were seen from near it.",
             summary.tracked, summary.frames
         ),
         Status::Done => format!(
@@ -102,7 +109,8 @@ fn after_losses(num_lost: usize, num_apart: usize) -> String {
             times(num_lost)
         ),
         _ => format!(
-            "tracking was lost {}, and what was seen after {num_apart} of the losses is not in the map",
+            "tracking was lost {}, and what was seen after {num_apart} of the losses is not in the \
+             map",
             times(num_lost)
         ),
     }
@@ -123,7 +131,8 @@ fn summary_lines(summary: &Summary, folder: &Path) -> String {
     let (frames, keyframes) = (summary.frames, summary.keyframes);
     let mut lines = vec![if summary.localise_only {
         format!(
-            "{frames} frames; the map of {keyframes} keyframes stays as it is, no new one is written"
+            "{frames} frames; the map of {keyframes} keyframes stays as it is, no new one is \
+             written"
         )
     } else {
         let (points, map) = (summary.points, &summary.map);
@@ -146,7 +155,8 @@ fn summary_lines(summary: &Summary, folder: &Path) -> String {
     lines.extend(about_fragments(summary));
     if summary.parts > 1 {
         lines.push(format!(
-            "the map has {} parts that only tracked motion holds together (last column of keyframes.txt)",
+            "the map has {} parts that only tracked motion holds together (last column of \
+             keyframes.txt)",
             summary.parts
         ));
     }
@@ -187,7 +197,8 @@ fn error_lines(summary: &Summary) -> impl Iterator<Item = String> {
     let map = summary.observed_map_error().zip(summary.map_error.as_ref());
     let map = map.map(|(map, report)| {
         format!(
-            "map against the truth: AUC {:.3}, MCC {:.3}; {} cells over 10 cm outside the room, MCC {:.3} with these",
+            "map against the truth: AUC {:.3}, MCC {:.3}; {} cells over 10 cm outside the room, \
+             MCC {:.3} with these",
             map.auc, map.mcc, report.predicted_beyond, report.mcc_with_beyond
         )
     });
@@ -202,11 +213,15 @@ fn about_fragments(summary: &Summary) -> impl Iterator<Item = String> {
         let num_joined = num - num_apart;
         format!("{num} {fragments} after losses, {num_joined} joined to the map, {num_apart} apart")
     });
-    let exchanged = summary.map_was_fragment.filter(|_| num > 0).map(|fragment| {
-        format!(
-            "the map is what was made after a loss, which is much larger; the first one is in trajectory_fragment_{fragment}.txt"
-        )
-    });
+    let exchanged = summary
+        .map_was_fragment
+        .filter(|_| num > 0)
+        .map(|fragment| {
+            format!(
+                "the map is what was made after a loss, which is much larger; the first one is in \
+             trajectory_fragment_{fragment}.txt"
+            )
+        });
     joined.into_iter().chain(exchanged)
 }
 

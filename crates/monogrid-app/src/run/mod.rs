@@ -5,12 +5,13 @@
 //! ```text
 //! the commands run and demo
 //!   -> whole::run_all
-//!        -> tracking             monogrid_pipeline: reader -> tracking -> recorder (recording, pictures of keyframes)
-//!                                                                      -> mapper   (maps that grow)
-//!                                                                      -> live     (`--view`)
-//!        -> sensed, align        the frame of the results
-//!        -> outputs              tables, final maps and their pictures
-//!        -> summary, report      summary.json, report.html
+//!        -> tracking          monogrid_pipeline:
+//!                             reader -> tracking -> recorder  (recording, pictures of keyframes)
+//!                                                -> mapper    (maps that grow)
+//!                                                -> live      (`--view`)
+//!        -> sensed, align     the frame of the results
+//!        -> outputs           tables, final maps and their pictures
+//!        -> summary, report   summary.json, report.html
 //!   -> conclusion::conclude      what the user reads, the exit code
 //! ```
 //!

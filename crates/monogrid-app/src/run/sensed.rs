@@ -102,7 +102,8 @@ fn judged(
     let mut reasons = Vec::new();
     if !found.is_scale_determined {
         reasons.push(format!(
-            "the scale is known to {:.1} % only (one standard deviation), {:.1} % are asked for: the camera accelerated by {:.2} m/s² (root mean square)",
+            "the scale is known to {:.1} % only (one standard deviation), {:.1} % are asked for: \
+             the camera accelerated by {:.2} m/s² (root mean square)",
             100.0 * scale_sigma,
             100.0 * config.max_scale_sigma,
             found.excitation

@@ -91,7 +91,8 @@ const OPEN_PATH: usize = 30;
 
 fn sentence(uncertainties: &[Uncertainty]) -> String {
     if uncertainties.is_empty() {
-        return "How far to trust this map: camera, scale, up and floor are known, and (nearly) all frames are in it.".to_owned();
+        return "How far to trust this map: camera, scale, up and floor are known, and (nearly) all \
+            frames are in it.".to_owned();
     }
     let named = uncertainties.iter().take(MAX_NAMED);
     let named: Vec<String> = named

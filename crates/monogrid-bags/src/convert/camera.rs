@@ -13,8 +13,8 @@ pub enum InfoError {
     NotCalibrated,
     /// A distortion that cannot be undone here.
     #[error(
-        "distortion model {model:?} with {count} parameters is not supported; there are plumb_bob (4 or 5), \
-         rational_polynomial (8), equidistant (4), and topics of rectified images"
+        "distortion model {model:?} with {count} parameters is not supported; there are plumb_bob \
+         (4 or 5), rational_polynomial (8), equidistant (4), and topics of rectified images"
     )]
     Distortion {
         /// What it is called.

@@ -10,15 +10,18 @@ use std::path::Path;
 #[non_exhaustive]
 pub enum ImageError {
     /// An encoding without grey values, or that nobody needed so far.
-    #[error("images in the encoding {found:?} are not supported; there are {}", ENCODINGS.map(|(name, ..)| name).join(", "))]
+    #[error(
+        "images in the encoding {found:?} are not supported; there are {}",
+        ENCODINGS.map(|(name, ..)| name).join(", ")
+    )]
     Encoding {
         /// What it is called.
         found: String,
     },
     /// The rows are not where the sizes say.
     #[error(
-        "an image of {width}x{height} pixels in rows of {step} bytes has {bytes} bytes: rows are too short, or some are \
-         missing"
+        "an image of {width}x{height} pixels in rows of {step} bytes has {bytes} bytes: rows are \
+         too short, or some are missing"
     )]
     Size {
         /// Columns.
@@ -32,7 +35,8 @@ pub enum ImageError {
     },
     /// Depth, by what it says of itself.
     #[error(
-        "images in the format {format:?} are depth (compressedDepth), expected pictures; name another topic with --topic NAME"
+        "images in the format {format:?} are depth (compressedDepth), expected pictures; name \
+         another topic with --topic NAME"
     )]
     Depth {
         /// What it says.

@@ -368,7 +368,8 @@ fn images_and_cameras_of_foxglove_in_json_and_from_ros() {
         base64(&[50; 6])
     );
     let camera = format!(
-        r#"{{{time}, "width": 3, "height": 2, "distortion_model": "", "D": [], "K": [5, 0, 1, 0, 6, 0.5, 0, 0, 1]}}"#
+        r#"{{{time}, "width": 3, "height": 2, "distortion_model": "", "D": [],
+            "K": [5, 0, 1, 0, 6, 0.5, 0, 0, 1]}}"#
     );
     // as foxglove_msgs has it: a time, the frame, the file and its format
     let from_ros = cdr::to_vec(&(Time { sec: 3, nanosec: 5 }, "cam", png.clone(), "png")).unwrap();

@@ -75,8 +75,8 @@ const EQUIDISTANT_CHARGE: f64 = 1.05;
 pub enum TargetError {
     /// No image shows a board.
     #[error(
-        "none of {num_images} images shows a whole chessboard; expected one of black and white squares with a white \
-         border, all of it in view, sharp and evenly lit"
+        "none of {num_images} images shows a whole chessboard; expected one of black and white \
+         squares with a white border, all of it in view, sharp and evenly lit"
     )]
     NoBoard {
         /// Images that were looked at.
@@ -84,8 +84,9 @@ pub enum TargetError {
     },
     /// No image shows enough of a grid of tags.
     #[error(
-        "none of {num_images} images shows four tags of a grid of {expected}; expected AprilTags of the family 36h11, numbered row \
-         by row from 0, with small black squares between their corners, sharp and evenly lit"
+        "none of {num_images} images shows four tags of a grid of {expected}; expected AprilTags \
+         of the family 36h11, numbered row by row from 0, with small black squares between their \
+         corners, sharp and evenly lit"
     )]
     NoTags {
         /// Images that were looked at.
@@ -95,8 +96,9 @@ pub enum TargetError {
     },
     /// The images show a board of another size.
     #[error(
-        "found a board of {found} inner corners in {num_found} of {num_images} images, expected {expected}; count the \
-         places where four squares meet (one less than squares on each side), or leave the size out"
+        "found a board of {found} inner corners in {num_found} of {num_images} images, expected \
+         {expected}; count the places where four squares meet (one less than squares on each \
+         side), or leave the size out"
     )]
     OtherBoard {
         /// What most images show.
@@ -110,8 +112,8 @@ pub enum TargetError {
     },
     /// Too few views that differ.
     #[error(
-        "found {found} different views of the board, expected at least {MIN_VIEWS}; show it from more sides, tilted by \
-         some 30 degrees each way, and hold still for a moment in each"
+        "found {found} different views of the board, expected at least {MIN_VIEWS}; show it from \
+         more sides, tilted by some 30 degrees each way, and hold still for a moment in each"
     )]
     FewViews {
         /// Views found.
@@ -119,8 +121,8 @@ pub enum TargetError {
     },
     /// The views leave the camera open.
     #[error(
-        "the views of the board do not determine the focal length (uncertain by {:.0} %, expected at most 2 %); tilt \
-         the board by some 30 degrees each way", 100.0 * relative_sigma
+        "the views of the board do not determine the focal length (uncertain by {:.0} %, expected \
+         at most 2 %); tilt the board by some 30 degrees each way", 100.0 * relative_sigma
     )]
     NotDetermined {
         /// Relative standard deviation of the focal length.

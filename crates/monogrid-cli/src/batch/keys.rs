@@ -41,7 +41,8 @@ pub fn parse_key(text: &str, place: &str) -> Result<Key, Failure> {
     }
     if !OPTIONS_OF_RUN.contains(name) {
         return Err(Failure::input(format!(
-            "{place}: `{name}` is no option of `monogrid run`; expected KEY=VALUE, such as max-frames=300, or name=NAME"
+            "{place}: `{name}` is no option of `monogrid run`; expected KEY=VALUE, such as \
+             max-frames=300, or name=NAME"
         )));
     }
     Ok(Key {

@@ -120,7 +120,8 @@ fn list_text(list: &Path) -> Result<String, Failure> {
         .map_err(|error| Failure::input(format!("the list {place} cannot be read: {error}")))?;
     if bytes.len() as u64 > MAX_LIST_BYTES {
         return Err(Failure::input(format!(
-            "the list {place} has more than {MAX_LIST_BYTES} bytes; expected a line of text per recording"
+            "the list {place} has more than {MAX_LIST_BYTES} bytes; expected a line of text per \
+             recording"
         )));
     }
     String::from_utf8(bytes).map_err(|error| {
@@ -172,7 +173,8 @@ fn checked_name(name: &str, place: &str) -> Result<String, Failure> {
         return Ok(name.to_owned());
     }
     Err(Failure::input(format!(
-        "{place}: name {name:?}, expected at most {MAX_NAME_BYTES} bytes of letters, digits, `-`, `_` and `.`, which does not come first or last"
+        "{place}: name {name:?}, expected at most {MAX_NAME_BYTES} bytes of letters, digits, `-`, \
+         `_` and `.`, which does not come first or last"
     )))
 }
 
@@ -222,7 +224,8 @@ mod tests {
 
     #[test]
     fn lines_are_sources_with_what_is_said_of_them() {
-        let text = "\u{feff}# two\r\nkitchen.mp4\r\n\n a b\tname=second\tmax-frames=3\trefine-calibration\t\n";
+        let text = "\u{feff}# two\r\nkitchen.mp4\r\n\n a \
+            b\tname=second\tmax-frames=3\trefine-calibration\t\n";
         let listed = parse_list(text, "l").unwrap();
         assert_eq!(listed[0].source, Path::new("kitchen.mp4"));
         assert_eq!(listed[0].place, "l, line 2");

@@ -20,11 +20,16 @@ const CARD_WIDTH: usize = 320;
 /// Names that stand behind a reason.
 const MAX_NAMES: usize = 4;
 
-const STYLE: &str = "<style>\
-.cards{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(220px,100%),1fr));gap:12px;margin:.8em 0}\
-.cards figure{background:var(--paper);border:1px solid var(--edge);border-top-width:4px;padding:8px}\
-.cards img{border:0;width:100%;aspect-ratio:3/2;object-fit:contain;background:#fff}.cards .none{aspect-ratio:3/2;display:grid;place-items:center;color:var(--faint);border:1px dashed var(--edge)}\
-.cards figcaption{font-size:13px;overflow-wrap:anywhere}.cards b{font-size:15px}a{color:inherit}.scroll td,.scroll th{overflow-wrap:break-word}.wide td,.wide th{white-space:nowrap}.wide td:last-child{white-space:normal;min-width:16em}</style>";
+const STYLE: &str = "\
+<style>.cards{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(220px,100%),1fr));\
+gap:12px;margin:.8em 0}\
+.cards figure{background:var(--paper);border:1px solid var(--edge);border-top-width:4px;\
+padding:8px}.cards img{border:0;width:100%;aspect-ratio:3/2;object-fit:contain;background:#fff}\
+.cards .none{aspect-ratio:3/2;display:grid;place-items:center;color:var(--faint);\
+border:1px dashed var(--edge)}.cards figcaption{font-size:13px;overflow-wrap:anywhere}\
+.cards b{font-size:15px}a{color:inherit}.scroll td,.scroll th{overflow-wrap:break-word}\
+.wide td,.wide th{white-space:nowrap}.wide td:last-child{white-space:normal;min-width:16em}\
+</style>";
 
 /// The page; `runs` is the folder of the runs, `link` how the page refers to it.
 pub fn page(name: &str, records: &[TaskRecord], runs: &Path, link: &str) -> String {
@@ -123,7 +128,8 @@ fn what_happened(page: &mut Page, records: &[TaskRecord]) {
         let percent = 100.0 * count as f64 / records.len() as f64;
         let (class, meaning) = (dotted(class), escape(&class.meaning()));
         html += &format!(
-            "<tr><td class=\"n\">{count}</td><td class=\"n\">{percent:.1} %</td><td>{class}</td><td>{meaning}</td></tr>"
+            "<tr><td class=\"n\">{count}</td><td class=\"n\">{percent:.1} \
+             %</td><td>{class}</td><td>{meaning}</td></tr>"
         );
     }
     page.html(&(html + "</table></div>"));
@@ -258,7 +264,8 @@ fn cards(ordered: &[&TaskRecord], runs: &Path, link: &str) -> String {
         let (colour, class) = (colour(record.class), record.class.name());
         let (name, line) = (linked(record, link), escape(&line(record)));
         html += &format!(
-            "<figure style=\"border-top-color:{colour}\">{picture}<figcaption><b>{name}</b> · {class}<br>{line}</figcaption></figure>"
+            "<figure style=\"border-top-color:{colour}\">{picture}<figcaption><b>{name}</b> · \
+             {class}<br>{line}</figcaption></figure>"
         );
     }
     html + "</div>"
@@ -308,10 +315,13 @@ mod tests {
 
     fn record(name: &str, class: &str, tracked: u64, ate: Option<f64>) -> TaskRecord {
         let text = format!(
-            r#"{{"format": 1, "name": "{name}", "source": "/d/{name}.mp4", "options": [], "class": "{class}",
-            "reason": "cannot read /d/{name}.mp4 at byte 17", "exit_code": 0, "attempts": 1, "version": "0", "settings_sha256": "",
-            "input": null, "result_sha256": null, "began_unix_s": 0, "wall_s": 1.0, "timeout_s": null, "cpu_s": 3.5,
-            "peak_rss_bytes": 100000000, "metrics": null, "outputs": {{"report.html": {{"bytes": 1, "sha256": ""}}}}}}"#
+            r#"{{"format": 1, "name": "{name}", "source": "/d/{name}.mp4", "options": [],
+            "class": "{class}", "reason": "cannot read /d/{name}.mp4 at byte 17",
+            "exit_code": 0, "attempts": 1,
+            "version": "0", "settings_sha256": "", "input": null, "result_sha256": null,
+            "began_unix_s": 0, "wall_s": 1.0, "timeout_s": null, "cpu_s": 3.5,
+            "peak_rss_bytes": 100000000, "metrics": null,
+            "outputs": {{"report.html": {{"bytes": 1, "sha256": ""}}}}}}"#
         );
         let mut record = TaskRecord::parse(&text).unwrap();
         record.metrics = Some(Metrics {

@@ -90,7 +90,8 @@ fn names(listed: &[Listed]) -> Result<Vec<String>, Failure> {
 
 fn of_another(listed: &Listed, name: &str) -> Failure {
     Failure::input(format!(
-        "{}: the name {name} is that of another recording too; expected names that differ not by case alone",
+        "{}: the name {name} is that of another recording too; expected names that differ not by \
+         case alone",
         listed.place
     ))
 }

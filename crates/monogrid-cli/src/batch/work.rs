@@ -206,7 +206,8 @@ impl Job<'_> {
         };
         (!is_free && !is_ours()).then(|| {
             format!(
-                "output {} exists, and no run of this recording wrote it as it is; choose another name, or replace it with --force",
+                "output {} exists, and no run of this recording wrote it as it is; choose another \
+                 name, or replace it with --force",
                 file.display()
             )
         })

@@ -105,7 +105,8 @@ fn a_point_cloud_gives_the_same_truth_as_the_mesh_it_samples() {
         }
     }
     let header = format!(
-        "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n",
+        "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty \
+         float z\nend_header\n",
         points.len()
     );
     let rows = points.join("\n");

@@ -115,8 +115,9 @@ fn chessboard(turn_x: f64, turn_y: f64) -> Image<u8> {
     })
 }
 
-const TASK: &str = r#"{"format": 1, "name": "one", "source": "one.mp4", "options": [], "class": "failed", "reason": "", "attempts": 1,
-"version": "0.1.0", "settings_sha256": "", "began_unix_s": 0, "wall_s": 0, "outputs": {}}"#;
+const TASK: &str = r#"{"format": 1, "name": "one", "source": "one.mp4", "options": [],
+"class": "failed", "reason": "", "attempts": 1, "version": "0.1.0", "settings_sha256": "",
+"began_unix_s": 0, "wall_s": 0, "outputs": {}}"#;
 const CALIBRATION: &str = "60 60 39.5 29.5 80 60\n";
 const POSES: &str =
     "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n2 1 1 0 0 0 0 1\n3 1 1 1 0 0 0 1\n4 0 1 1 0 0 0 1\n";
@@ -228,7 +229,8 @@ impl Sources {
 
     /// One call of every command that writes a folder.
     fn folder_calls(&self) -> Vec<Call> {
-        let run = "@list.txt --calibration @camera.txt --mask @mask.png --config @settings.toml --align gt:@poses.txt";
+        let run = "@list.txt --calibration @camera.txt --mask @mask.png --config @settings.toml \
+            --align gt:@poses.txt";
         let read_by_run = "list.txt images/0.png camera.txt mask.png settings.toml poses.txt";
         let synth =
             "@mesh.obj --trajectory @inside.txt --frames 2 --size 64x48 --truth-resolution 0.1";

@@ -116,9 +116,9 @@ impl Seeds {
         );
         write(
             "mesh.ply",
-            b"ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
-              element face 2\nproperty list uchar int vertex_indices\nend_header\n\
-              0 0 0\n1 0 0\n0 1 0\n1 1 0\n3 0 1 2\n3 1 2 3\n",
+            b"ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n\
+             property float z\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n\
+             0 0 0\n1 0 0\n0 1 0\n1 1 0\n3 0 1 2\n3 1 2 3\n",
         );
         write("gray.pgm", &pgm());
         write("gray.y4m", &y4m());
@@ -160,22 +160,24 @@ const CALIBRATIONS: [(&str, &str); 5] = [
     (
         "kalibr.yaml",
         "cam0:\n  camera_model: pinhole\n  distortion_coeffs: [-0.1, 0.02, 0.001, 0.0]\n  \
-         distortion_model: radtan\n  intrinsics: [277.0, 277.0, 160.0, 120.0]\n  resolution: [320, 240]\n",
+         distortion_model: radtan\n  intrinsics: [277.0, 277.0, 160.0, 120.0]\n  resolution: [320, \
+         240]\n",
     ),
     (
         "orb.yaml",
-        "%YAML:1.0\nCamera.type: \"KannalaBrandt8\"\nCamera.fx: 277.0\nCamera.fy: 277.0\nCamera.cx: 160.0\n\
-         Camera.cy: 120.0\nCamera.k1: 0.01\nCamera.k2: 0.001\nCamera.k3: 0.0\nCamera.k4: 0.0\n\
-         Camera.width: 320\nCamera.height: 240\n",
+        "%YAML:1.0\nCamera.type: \"KannalaBrandt8\"\nCamera.fx: 277.0\nCamera.fy: 277.0\n\
+         Camera.cx: 160.0\nCamera.cy: 120.0\nCamera.k1: 0.01\nCamera.k2: 0.001\nCamera.k3: 0.0\n\
+         Camera.k4: 0.0\nCamera.width: 320\nCamera.height: 240\n",
     ),
     (
         "colmap.txt",
-        "# Camera list with one line of data per camera:\n1 OPENCV 320 240 277 277 160 120 -0.1 0.02 0 0\n",
+        "# Camera list with one line of data per camera:\n1 OPENCV 320 240 277 277 160 120 -0.1 \
+         0.02 0 0\n",
     ),
     (
         "own.toml",
-        "width = 320\nheight = 240\nmodel = \"radial-tangential\"\nfx = 277.0\nfy = 277.0\ncx = 160.0\n\
-         cy = 120.0\ndistortion = [-0.1, 0.02, 0.0, 0.0]\n",
+        "width = 320\nheight = 240\nmodel = \"radial-tangential\"\nfx = 277.0\nfy = 277.0\ncx = \
+         160.0\ncy = 120.0\ndistortion = [-0.1, 0.02, 0.0, 0.0]\n",
     ),
 ];
 

@@ -8,8 +8,9 @@ use monogrid_geometry::Pinhole;
 use std::path::Path;
 
 /// The models of COLMAP that are understood, with their parameters.
-const MODELS: &str = "SIMPLE_PINHOLE (3 parameters), PINHOLE (4), SIMPLE_RADIAL (4), RADIAL (5), OPENCV (8), \
-                      FULL_OPENCV (12), OPENCV_FISHEYE (8), SIMPLE_RADIAL_FISHEYE (4), RADIAL_FISHEYE (5) or FOV (5)";
+const MODELS: &str = "SIMPLE_PINHOLE (3 parameters), PINHOLE (4), SIMPLE_RADIAL (4), RADIAL (5), \
+    OPENCV (8), FULL_OPENCV (12), OPENCV_FISHEYE (8), SIMPLE_RADIAL_FISHEYE (4), RADIAL_FISHEYE \
+    (5) or FOV (5)";
 
 /// Models by their numbers in binary files, with how many parameters they have.
 const NUMBERED: [(&str, usize); 12] = [

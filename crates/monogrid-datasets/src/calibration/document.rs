@@ -353,8 +353,9 @@ mod tests {
 
     #[test]
     fn lists_in_all_forms() {
-        let text = "%YAML:1.0\n---\na: [1, 2.,\n   3e0]\nB: # remark\n - 1\n - -2\nc: !!opencv-matrix\n  rows: 1\n  \
-                    data: [ 4.,\n    5. ]\nd: [[1, 2], [3, 4]]\ne:\n- [1, 2]\n- [3]\nf: {rows: 1, data: [7, 8]}\ng: []\nh: 9";
+        let text = "%YAML:1.0\n---\na: [1, 2.,\n   3e0]\nB: # remark\n - 1\n - -2\nc: \
+            !!opencv-matrix\n  rows: 1\n  data: [ 4.,\n    5. ]\nd: [[1, 2], [3, 4]]\ne:\n- [1, \
+            2]\n- [3]\nf: {rows: 1, data: [7, 8]}\ng: []\nh: 9";
         let document = Document::yaml(text);
         assert_eq!(list(&document, "a"), [1.0, 2.0, 3.0]);
         assert_eq!(list(&document, "b"), [1.0, -2.0]);
@@ -368,7 +369,8 @@ mod tests {
 
     #[test]
     fn keys_stand_below_keys() {
-        let text = "cam0:\n  model: \"ds\" # double\n  T: [1]\ncam1:\n  model: pinhole\n- name: x\n  model: y#1\n";
+        let text = "cam0:\n  model: \"ds\" # double\n  T: [1]\ncam1:\n  model: pinhole\n- name: \
+            x\n  model: y#1\n";
         let document = Document::yaml(text);
         assert_eq!(document.text(&["model"]), Some("ds"));
         let second = document.below("cam1").unwrap();
@@ -380,8 +382,9 @@ mod tests {
 
     #[test]
     fn xml_is_understood_alike() {
-        let text = "<?xml version=\"1.0\"?>\n<opencv_storage>\n<!-- x -->\n<flags>4</flags>\n<name>\"a b\"</name>\n\
-                    <M type_id=\"opencv-matrix\"><rows>1</rows><data>\n 1. 2e0\n -3</data></M>\n</opencv_storage>\n";
+        let text = "<?xml version=\"1.0\"?>\n<opencv_storage>\n<!-- x -->\n<flags>4</flags>\n\
+            <name>\"a b\"</name>\n<M type_id=\"opencv-matrix\"><rows>1</rows><data>\n 1. 2e0\n \
+            -3</data></M>\n</opencv_storage>\n";
         let document = Document::xml(text, Path::new("x")).unwrap();
         assert_eq!(document.text(&["flags"]), Some("4"));
         assert_eq!(document.text(&["name"]), Some("a b"));

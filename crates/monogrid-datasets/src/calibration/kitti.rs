@@ -121,7 +121,8 @@ fn raw(
             draft.note(format!("camera {} is used", camera.name));
             if taken.is_some() {
                 draft.note(
-                    "images as they were taken have the same size: the images are taken for rectified ones",
+                    "images as they were taken have the same size: the images are taken for \
+                     rectified ones",
                 );
             }
             Ok(draft)

@@ -60,8 +60,9 @@ fn parse_camera(
 }
 
 fn unknown(path: &Path, (number, line): (usize, &str)) -> DatasetError {
-    let expected = "fx fy cx cy [omega | k1 k2 p1 p2 [k3]] width height in pixels, a file of LSD-SLAM or DSO, \
-                    COLMAP's cameras.txt, KITTI's calib.txt, or one of the other formats in docs/formats.md";
+    let expected = "fx fy cx cy [omega | k1 k2 p1 p2 [k3]] width height in pixels, a file of \
+        LSD-SLAM or DSO, COLMAP's cameras.txt, KITTI's calib.txt, or one of the other formats in \
+        docs/formats.md";
     DatasetError::line(path, number, line, expected)
 }
 
@@ -118,13 +119,16 @@ fn size_line(lines: &[(usize, &str)], path: &Path) -> Result<(usize, usize), Dat
 /// remaining lines.
 fn note_units(draft: &mut Calibration, relative: bool, lines: &[(usize, &str)]) {
     draft.note(match relative {
-        true => "values are relative to the image size; half a pixel was subtracted from the principal point",
+        true => {
+            "values are relative to the image size; half a pixel was subtracted from the \
+            principal point"
+        }
         false => "values are in pixels",
     });
     if lines.len() > 2 {
         draft.note(
-            "the rectification mode and output size in the file are not used (the working size is chosen \
-             by --size)",
+            "the rectification mode and output size in the file are not used (the working size is \
+             chosen by --size)",
         );
     }
 }
@@ -160,8 +164,8 @@ fn parse_dso(
     let size = size_line(lines, path)?;
     let values = numbers(line[model.len()..].trim()).unwrap_or_default();
     let wrong = || {
-        let expected = "Pinhole fx fy cx cy 0, FOV fx fy cx cy omega, or RadTan, EquiDistant or KannalaBrandt with \
-                        fx fy cx cy and four coefficients";
+        let expected = "Pinhole fx fy cx cy 0, FOV fx fy cx cy omega, or RadTan, EquiDistant or \
+            KannalaBrandt with fx fy cx cy and four coefficients";
         DatasetError::line(path, number, line, expected)
     };
     let &[fx, fy, cx, cy, ref rest @ ..] = values.as_slice() else {

@@ -129,9 +129,9 @@ impl Calibration {
             }
         };
         let mut text = format!(
-            "{}: {width}x{height} px, focal length ({fx:.2}, {fy:.2}) px, principal point ({cx:.2}, \
-             {cy:.2}) px with the centre of the top-left pixel at (0, 0), {model}, horizontal field of \
-             view {:.1} degrees",
+            "{}: {width}x{height} px, focal length ({fx:.2}, {fy:.2}) px, principal point \
+             ({cx:.2}, {cy:.2}) px with the centre of the top-left pixel at (0, 0), {model}, \
+             horizontal field of view {:.1} degrees",
             self.format,
             self.camera.horizontal_fov_deg()
         );
@@ -235,8 +235,8 @@ impl Calibration {
             // ICL-NUIM's fy = -480: its world is left-handed, the rows still run downwards
             self.camera.pinhole.fy = -self.camera.pinhole.fy;
             self.note(
-                "fy was negative (a camera whose y axis points up); its absolute value is used with y \
-                 down, so a reference trajectory in the other convention is mirrored",
+                "fy was negative (a camera whose y axis points up); its absolute value is used \
+                 with y down, so a reference trajectory in the other convention is mirrored",
             );
         }
         let valid = self.camera.validate();

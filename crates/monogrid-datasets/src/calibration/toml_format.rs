@@ -5,14 +5,14 @@
 //! height = 480
 //! model = "radial-tangential"      # "pinhole" (default), or a name of `Distortion::from_name`
 //! units = "pixels"                 # of fx, fy, cx, cy: "pixels" or "relative" to width and height
-//! pixel_center = "integer"         # centre of the top-left pixel: "integer" (0, 0), "half" (0.5, 0.5)
+//! pixel_center = "integer"         # centre of the first pixel: "integer" is 0, "half" is 0.5
 //! fx = 458.654
 //! fy = 457.296
 //! cx = 367.215
 //! cy = 248.375
 //! # in the order of `Distortion::parameters`
 //! distortion = [-0.28, 0.07, 0.0002, 0.00002, 0.0]
-//! rolling_shutter_ms = 24.5        # from the first row to the last; left out where all are read at once
+//! rolling_shutter_ms = 24.5        # from the first row to the last; not with a global shutter
 //! ```
 
 use super::lens;

@@ -41,8 +41,9 @@ const RECORDING: Allowance = Allowance {
 /// Too many pixels for what a source stores: a small file must not cost hours.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{path:?} stores {stored_bytes} bytes and shows more than {most} pixels, the most that are read of so little; if you \
-     trust it, use fewer of its frames, or store them with less compression"
+    "{path:?} stores {stored_bytes} bytes and shows more than {most} pixels, the most that are \
+     read of so little; if you trust it, use fewer of its frames, or store them with less \
+     compression"
 )]
 pub struct TooManyPixels {
     /// The source.

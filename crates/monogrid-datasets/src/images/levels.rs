@@ -88,7 +88,8 @@ impl Levels {
     pub fn note(&self) -> Option<String> {
         (*self != Self::ALL).then(|| {
             format!(
-                "the images use a part of their 16 bits: values from {:.0} to {:.0} are shown as black to white, in all of them",
+                "the images use a part of their 16 bits: values from {:.0} to {:.0} are shown as \
+                 black to white, in all of them",
                 self.black, self.white
             )
         })

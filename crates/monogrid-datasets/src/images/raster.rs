@@ -137,7 +137,8 @@ pub(super) fn check_size(
     let most = max_pixels_of(num_bytes);
     if width * height > most {
         return Err(format!(
-            "{width}x{height} pixels are too many for a file of {num_bytes} bytes, at most {most} are read"
+            "{width}x{height} pixels are too many for a file of {num_bytes} bytes, at most {most} \
+             are read"
         ));
     }
     Ok(())

@@ -183,8 +183,8 @@ fn is_frame_name(name: &str) -> bool {
 fn warn_name_order(folder: &Path, images: &[PathBuf], warnings: &mut Vec<String>) {
     if !images.is_sorted() {
         warnings.push(format!(
-            "the names in {} were put into natural order (frame2 before frame10), which is not their \
-             alphabetical order",
+            "the names in {} were put into natural order (frame2 before frame10), which is not \
+             their alphabetical order",
             folder.display()
         ));
     }

@@ -38,7 +38,8 @@ impl SubmapReader {
         match named.filter(|id| *id != reader.id) {
             None => Ok(reader),
             Some(_) => Err(reader.unusable(format!(
-                "its content is that of {}, expected that of its name; it was renamed, or written by others",
+                "its content is that of {}, expected that of its name; it was renamed, or written \
+                 by others",
                 reader.id.file_name()
             ))),
         }

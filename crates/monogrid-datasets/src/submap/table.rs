@@ -177,7 +177,9 @@ impl SubmapTable {
             .pose_revision
             .map_or("null".to_owned(), |revision| revision.to_string());
         format!(
-            "{{\"format\":\"{FORMAT}\",\"version\":{VERSION},\"pose_revision\":{revision},\"submaps\":[\n{}\n]}}\n",
+            "{{\"format\":\"{FORMAT}\",\"version\":{VERSION},\"pose_revision\":{revision},\
+             \"submaps\":[\n\
+             {}\n]}}\n",
             submaps.join(",\n")
         )
     }

@@ -117,14 +117,14 @@ fn dso_files_with_and_without_half_a_pixel() {
 
 #[test]
 fn euroc_sensor_yaml() {
-    let text = "%YAML:1.0\nsensor_type: camera\ncomment: VI-Sensor cam0 (MT9M034)\n\n\
-        # Sensor extrinsics wrt. the body-frame.\nT_BS:\n  cols: 4\n  rows: 4\n  data: \
-        [0.0148655429818, -0.999880929698, 0.00414029679422, -0.0216401454975,\n         \
-        0.999557249008, 0.0149672133247, 0.025715529948, -0.064676986768,\n        \
-        -0.0257744366974, 0.00375618835797, 0.999660727178, 0.00981073058949,\n         \
-        0.0, 0.0, 0.0, 1.0]\n\n# Camera specific definitions.\nrate_hz: 20\nresolution: [752, 480]\n\
-        camera_model: pinhole\nintrinsics: [458.654, 457.296, 367.215, 248.375] #fu, fv, cu, cv\n\
-        distortion_model: radial-tangential\ndistortion_coefficients: [-0.28, 0.07, 0.0002, 0.00002]\n";
+    let text = "%YAML:1.0\nsensor_type: camera\ncomment: VI-Sensor cam0 (MT9M034)\n\n# Sensor \
+        extrinsics wrt. the body-frame.\nT_BS:\n  cols: 4\n  rows: 4\n  data: [0.0148655429818, \
+        -0.999880929698, 0.00414029679422, -0.0216401454975,\n         0.999557249008, \
+        0.0149672133247, 0.025715529948, -0.064676986768,\n        -0.0257744366974, \
+        0.00375618835797, 0.999660727178, 0.00981073058949,\n         0.0, 0.0, 0.0, 1.0]\n\n# \
+        Camera specific definitions.\nrate_hz: 20\nresolution: [752, 480]\ncamera_model: pinhole\n\
+        intrinsics: [458.654, 457.296, 367.215, 248.375] #fu, fv, cu, cv\ndistortion_model: \
+        radial-tangential\ndistortion_coefficients: [-0.28, 0.07, 0.0002, 0.00002]\n";
     let calibration = parse("sensor.yaml", text).expect("readable");
     assert_pinhole(&calibration.camera, [458.654, 457.296, 367.215, 248.375]);
     assert_eq!(calibration.camera.distortion, RADTAN);
@@ -139,9 +139,9 @@ fn euroc_sensor_yaml() {
 
 #[test]
 fn kalibr_and_ros_yaml() {
-    let kalibr = "cam0:\n  camera_model: pinhole\n  distortion_coeffs: [0.01, -0.02, 0.003, -0.0004]\n  \
-        distortion_model: equidistant\n  intrinsics: [190.9, 190.8, 254.9, 256.8]\n  resolution: [512, \
-        512]\ncam1:\n  intrinsics: [1, 2, 3, 4]\n  resolution: [1, 1]\n";
+    let kalibr = "cam0:\n  camera_model: pinhole\n  distortion_coeffs: [0.01, -0.02, 0.003, \
+        -0.0004]\n  distortion_model: equidistant\n  intrinsics: [190.9, 190.8, 254.9, 256.8]\n  \
+        resolution: [512, 512]\ncam1:\n  intrinsics: [1, 2, 3, 4]\n  resolution: [1, 1]\n";
     let calibration = parse("camchain.yaml", kalibr).expect("readable");
     assert_pinhole(&calibration.camera, [190.9, 190.8, 254.9, 256.8]);
     assert!(matches!(
@@ -149,10 +149,10 @@ fn kalibr_and_ros_yaml() {
         Distortion::Equidistant { .. }
     ));
     assert!(!calibration.notes.is_empty());
-    let ros = "image_width: 640\nimage_height: 480\ncamera_name: head\ncamera_matrix:\n  rows: 3\n  cols: \
-        3\n  data: [500.0, 0.0, 320.0, 0.0, 501.0, 240.0, 0.0, 0.0, 1.0]\ndistortion_model: plumb_bob\n\
-        distortion_coefficients:\n  rows: 1\n  cols: 5\n  data:\n  - -0.28\n  - 0.07\n  - 0.0002\n  - \
-        0.00002\n  - 0.0\n";
+    let ros = "image_width: 640\nimage_height: 480\ncamera_name: head\ncamera_matrix:\n  rows: \
+        3\n  cols: 3\n  data: [500.0, 0.0, 320.0, 0.0, 501.0, 240.0, 0.0, 0.0, 1.0]\n\
+        distortion_model: plumb_bob\ndistortion_coefficients:\n  rows: 1\n  cols: 5\n  data:\n  - \
+        -0.28\n  - 0.07\n  - 0.0002\n  - 0.00002\n  - 0.0\n";
     let ros = camera("camera.yaml", ros);
     assert_pinhole(&ros, [500.0, 501.0, 320.0, 240.0]);
     assert_eq!(ros.distortion, RADTAN);
@@ -313,24 +313,34 @@ fn any_camera() -> impl Strategy<Value = Camera> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 128, failure_persistence: None, ..Default::default() })]
+    #![proptest_config(ProptestConfig {
+        cases: 128,
+        failure_persistence: None,
+        ..Default::default()
+    })]
 
     #[test]
     fn toml_round_trips_exactly(camera in any_camera()) {
         prop_assume!(camera.validate().is_ok());
         let text = Calibration::to_toml(&camera, Some(24.5));
-        let read = Calibration::parse(&text, Path::new("calibration.toml"), None).expect("own format");
+        let read = Calibration::parse(&text, Path::new("calibration.toml"), None)
+            .expect("own format");
         prop_assert_eq!(read.camera, camera);
         prop_assert_eq!(read.readout_ms, Some(24.5));
     }
 
     #[test]
     fn mangled_calibrations_never_panic(
-        words in prop::collection::vec("(Pinhole|FOV|RadTan|P0:|nan|-?[0-9]{0,4}\\.?[0-9]{0,3}|e9|\\[|\\]|\\{|\\}|\n|\n  |,|- |data:|intrinsics:|resolution:|S_00:|K_00:|P_rect_00:|camera matrix\n|\\[image\\]\n|<data>|</data>|\\{\"value0\":|model_type: MEI\n|camera_model: ds\n|Camera\\.fx:|fx:|xi:)", 0..32),
+        words in prop::collection::vec("(Pinhole|FOV|RadTan|P0:|nan|-?[0-9]{0,4}\\.?[0-9]{0,3}|e9\
+            |\\[|\\]|\\{|\\}|\n|\n  |,|- |data:|intrinsics:|resolution:|S_00:|K_00:|P_rect_00:\
+            |camera matrix\n\
+            |\\[image\\]\n|<data>|</data>|\\{\"value0\":|model_type: MEI\n|camera_model: ds\n\
+            |Camera\\.fx:|fx:|xi:)", 0..32),
         name in "(a\\.txt|a\\.toml|a\\.yaml|calib\\.cfg|a\\.xml|a\\.json)",
     ) {
         // either outcome is fine; a returned camera must be valid
-        if let Ok(calibration) = Calibration::parse(&words.join(" "), Path::new(&name), Some((640, 480))) {
+        let text = words.join(" ");
+        if let Ok(calibration) = Calibration::parse(&text, Path::new(&name), Some((640, 480))) {
             prop_assert!(calibration.camera.validate().is_ok());
         }
     }

@@ -75,8 +75,8 @@ fn opencv_matrix(rows: usize, cols: usize, data: &str) -> String {
 fn opencv([width, height, matrix, lens]: [&str; 4], more: &str, coefficients: &str) -> String {
     let count = coefficients.split(',').count();
     format!(
-        "%YAML:1.0\n---\ncalibration_time: \"Mon Oct 27 20:27:45 2014\"\n{width}: 640\n{height}: 480\n\
-         board_width: 4\n{more}{matrix}: {}{lens}: {}avg_reprojection_error: 4.4e-01\n",
+        "%YAML:1.0\n---\ncalibration_time: \"Mon Oct 27 20:27:45 2014\"\n{width}: 640\n{height}: \
+         480\nboard_width: 4\n{more}{matrix}: {}{lens}: {}avg_reprojection_error: 4.4e-01\n",
         opencv_matrix(3, 3, K_ROWS),
         opencv_matrix(count, 1, coefficients)
     )
@@ -128,11 +128,12 @@ fn opencv_xml_says_the_same_as_its_yaml() {
     let xml = |names: [&str; 4], more: &str, lens: &str| {
         let [width, height, matrix, coefficients] = names;
         format!(
-            "<?xml version=\"1.0\"?>\n<opencv_storage>\n<calibration_time>\"Mon Oct 27\"</calibration_time>\n\
-             <{width}>640</{width}>\n<{height}>480</{height}>\n<!-- flags: -->\n{more}\
-             <{matrix} type_id=\"opencv-matrix\">\n  <rows>3</rows>\n  <cols>3</cols>\n  <dt>d</dt>\n  <data>\n    \
-             {}</data></{matrix}>\n<{coefficients} type_id=\"opencv-matrix\">\n  <rows>5</rows>\n  <cols>1</cols>\n  \
-             <dt>d</dt>\n  <data>\n    {}</data></{coefficients}>\n</opencv_storage>\n",
+            "<?xml version=\"1.0\"?>\n<opencv_storage>\n<calibration_time>\"Mon Oct \
+             27\"</calibration_time>\n<{width}>640</{width}>\n<{height}>480</{height}>\n<!-- \
+             flags: -->\n{more}<{matrix} type_id=\"opencv-matrix\">\n  <rows>3</rows>\n  \
+             <cols>3</cols>\n  <dt>d</dt>\n  <data>\n    {}</data></{matrix}>\n<{coefficients} \
+             type_id=\"opencv-matrix\">\n  <rows>5</rows>\n  <cols>1</cols>\n  <dt>d</dt>\n  \
+             <data>\n    {}</data></{coefficients}>\n</opencv_storage>\n",
             K_ROWS.replace(',', ""),
             lens.replace(',', "")
         )
@@ -153,20 +154,21 @@ fn opencv_xml_says_the_same_as_its_yaml() {
 
 #[test]
 fn camera_info_as_topic_echo_prints_it() {
-    let ros1 = "header: \n  seq: 1\n  stamp: \n    secs: 1305031452\n    nsecs: 791720000\n  frame_id: \"camera\"\n\
-                height: 480\nwidth: 640\ndistortion_model: \"plumb_bob\"\nD: [0.26, -0.95, -0.005, 0.003, 1.16]\n\
-                K: [417.3, 0.0, 318.6, 0.0, 416.5, 235.3, 0.0, 0.0, 1.0]\nR: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, \
-                1.0]\nP: [520.9, 0.0, 320.0, 0.0, 0.0, 521.0, 250.1, 0.0, 0.0, 0.0, 1.0, 0.0]\nbinning_x: 0\n\
-                binning_y: 0\nroi: \n  x_offset: 0\n  y_offset: 0\n  height: 0\n  width: 0\n  do_rectify: False\n---\n";
+    let ros1 = "header: \n  seq: 1\n  stamp: \n    secs: 1305031452\n    nsecs: 791720000\n  \
+        frame_id: \"camera\"\nheight: 480\nwidth: 640\ndistortion_model: \"plumb_bob\"\nD: [0.26, \
+        -0.95, -0.005, 0.003, 1.16]\nK: [417.3, 0.0, 318.6, 0.0, 416.5, 235.3, 0.0, 0.0, 1.0]\nR: \
+        [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]\nP: [520.9, 0.0, 320.0, 0.0, 0.0, 521.0, \
+        250.1, 0.0, 0.0, 0.0, 1.0, 0.0]\nbinning_x: 0\nbinning_y: 0\nroi: \n  x_offset: 0\n  \
+        y_offset: 0\n  height: 0\n  width: 0\n  do_rectify: False\n---\n";
     let block = |key: &str, values: &[f64]| {
         let lines: Vec<String> = values.iter().map(|v| format!("- {v:?}\n")).collect();
         format!("{key}:\n{}", lines.concat())
     };
     let ros2 = |model: &str, lens: &[f64]| {
         format!(
-            "header:\n  stamp:\n    sec: 13\n    nanosec: 79\n  frame_id: camera\nheight: 480\nwidth: 640\n\
-             distortion_model: {model}\n{}{}{}binning_x: 0\nbinning_y: 0\nroi:\n  x_offset: 0\n  y_offset: 0\n  \
-             height: 0\n  width: 0\n  do_rectify: false\n---\n",
+            "header:\n  stamp:\n    sec: 13\n    nanosec: 79\n  frame_id: camera\nheight: 480\n\
+             width: 640\ndistortion_model: {model}\n{}{}{}binning_x: 0\nbinning_y: 0\nroi:\n  \
+             x_offset: 0\n  y_offset: 0\n  height: 0\n  width: 0\n  do_rectify: false\n---\n",
             block("d", lens),
             block("k", &[417.3, 0.0, 318.6, 0.0, 416.5, 235.3, 0.0, 0.0, 1.0]),
             block(
@@ -207,10 +209,11 @@ fn camera_info_as_topic_echo_prints_it() {
 fn ost_txt_of_the_ros_calibrator() {
     let ost = |lens: &str| {
         format!(
-            "# oST version 5.0 parameters\n\n\n[image]\n\nwidth\n640\n\nheight\n480\n\n[narrow_stereo]\n\ncamera matrix\n\
-             417.300000 0.000000 318.600000\n0.000000 416.500000 235.300000\n0.000000 0.000000 1.000000\n\ndistortion\n\
-             {lens}\n\nrectification\n1.0 0.0 0.0\n0.0 1.0 0.0\n0.0 0.0 1.0\n\nprojection\n520.0 0.0 320.0 0.0\n\
-             0.0 521.0 250.0 0.0\n0.0 0.0 1.0 0.0\n"
+            "# oST version 5.0 parameters\n\n\n[image]\n\nwidth\n640\n\nheight\n480\n\n\
+             [narrow_stereo]\n\ncamera matrix\n417.300000 0.000000 318.600000\n0.000000 416.500000 \
+             235.300000\n0.000000 0.000000 1.000000\n\ndistortion\n{lens}\n\nrectification\n1.0 \
+             0.0 0.0\n0.0 1.0 0.0\n0.0 0.0 1.0\n\nprojection\n520.0 0.0 320.0 0.0\n0.0 521.0 250.0 \
+             0.0\n0.0 0.0 1.0 0.0\n"
         )
     };
     let text = ost("0.260000 -0.950000 -0.005000 0.003000 1.160000");
@@ -226,10 +229,11 @@ fn ost_txt_of_the_ros_calibrator() {
 fn kalibr_models_in_front_of_the_intrinsics() {
     let kalibr = |model: &str, own: &str, lens: (&str, &str)| {
         format!(
-            "cam0:\n  cam_overlaps: [1]\n  camera_model: {model}\n  distortion_coeffs: {}\n  distortion_model: {}\n  \
-             intrinsics: [{own}417.3, 416.5, 318.6, 235.3]\n  resolution: [640, 480]\n  rostopic: /cam0/image_raw\n\
-             cam1:\n  T_cn_cnm1:\n  - [1.0, 0.0, 0.0, -0.1]\n  - [0.0, 1.0, 0.0, 0.0]\n  - [0.0, 0.0, 1.0, 0.0]\n  \
-             - [0.0, 0.0, 0.0, 1.0]\n  camera_model: pinhole\n  distortion_coeffs: [0.9, 0.9, 0.9, 0.9]\n  \
+            "cam0:\n  cam_overlaps: [1]\n  camera_model: {model}\n  distortion_coeffs: {}\n  \
+             distortion_model: {}\n  intrinsics: [{own}417.3, 416.5, 318.6, 235.3]\n  resolution: \
+             [640, 480]\n  rostopic: /cam0/image_raw\ncam1:\n  T_cn_cnm1:\n  - [1.0, 0.0, 0.0, \
+             -0.1]\n  - [0.0, 1.0, 0.0, 0.0]\n  - [0.0, 0.0, 1.0, 0.0]\n  - [0.0, 0.0, 0.0, \
+             1.0]\n  camera_model: pinhole\n  distortion_coeffs: [0.9, 0.9, 0.9, 0.9]\n  \
              distortion_model: equidistant\n  intrinsics: [1, 2, 3, 4]\n  resolution: [1, 1]\n",
             lens.1, lens.0
         )
@@ -289,8 +293,8 @@ fn vins_models() {
             .iter()
             .map(|(key, value)| format!("   {key}: {value}\n"));
         format!(
-            "%YAML:1.0\n---\nmodel_type: {model}\ncamera_name: camera\nimage_width: 640\nimage_height: 480\n\
-             projection_parameters:\n{}",
+            "%YAML:1.0\n---\nmodel_type: {model}\ncamera_name: camera\nimage_width: 640\n\
+             image_height: 480\nprojection_parameters:\n{}",
             lines.collect::<String>()
         )
     };
@@ -336,10 +340,11 @@ fn vins_models() {
 fn orb_slam_and_stella_name_their_models() {
     let orb = |kind: &str| {
         format!(
-            "%YAML:1.0\nFile.version: \"1.0\"\n\nCamera.type: \"{kind}\"\n\nCamera1.fx: 417.3\nCamera1.fy: 416.5\n\
-             Camera1.cx: 318.6\nCamera1.cy: 235.3\nCamera1.k1: -0.011\nCamera1.k2: 0.05\nCamera1.k3: -0.047\n\
-             Camera1.k4: 0.009\nCamera.width: 640\nCamera.height: 480\nCamera.fps: 30\n\
-             Tbc: !!opencv-matrix\n  rows: 4\n  cols: 4\n  dt: f\n  data: [1, 0, 0, 0]\n"
+            "%YAML:1.0\nFile.version: \"1.0\"\n\nCamera.type: \"{kind}\"\n\nCamera1.fx: 417.3\n\
+             Camera1.fy: 416.5\nCamera1.cx: 318.6\nCamera1.cy: 235.3\nCamera1.k1: -0.011\n\
+             Camera1.k2: 0.05\nCamera1.k3: -0.047\nCamera1.k4: 0.009\nCamera.width: 640\n\
+             Camera.height: 480\nCamera.fps: 30\nTbc: !!opencv-matrix\n  rows: 4\n  cols: 4\n  dt: \
+             f\n  data: [1, 0, 0, 0]\n"
         )
     };
     let rectified = parse_for("orb.yaml", &orb("Rectified"), (640, 480));
@@ -362,8 +367,8 @@ fn orb_slam_and_stella_name_their_models() {
     // without a size it is that of the images, not the sides of a matrix
     let without = orb("Rectified").replace("Camera.width: 640\nCamera.height: 480\n", "");
     assert_camera(&camera("orb.yaml", &without), FX_TO_CY, Distortion::None);
-    let around = "Camera:\n  name: \"360\"\n  setup: \"monocular\"\n  model: \"equirectangular\"\n  fps: 30.0\n  \
-                  cols: 1920\n  rows: 960\n  color_order: \"RGB\"\n";
+    let around = "Camera:\n  name: \"360\"\n  setup: \"monocular\"\n  model: \
+        \"equirectangular\"\n  fps: 30.0\n  cols: 1920\n  rows: 960\n  color_order: \"RGB\"\n";
     let said = refused("stella.yaml", around);
     assert!(said.contains("equirectangular is not supported"), "{said}");
     assert!(said.contains("v360=equirect:flat"), "{said}");
@@ -379,7 +384,8 @@ fn colmap_fisheyes_and_the_camera_whose_size_is_that_of_the_images() {
         let camera = camera("cameras.txt", text);
         assert_camera(&camera, expected, Distortion::Equidistant { k });
     }
-    let full = "1 FULL_OPENCV 640 480 417.3 416.5 319.1 235.8 0.6 -2.6 0.0008 -0.0002 1.5 0.48 -2.42 1.43\n";
+    let full = "1 FULL_OPENCV 640 480 417.3 416.5 319.1 235.8 0.6 -2.6 0.0008 -0.0002 1.5 0.48 \
+        -2.42 1.43\n";
     assert_camera(&camera("cameras.txt", full), FX_TO_CY, RATIONAL);
     let prism = "1 THIN_PRISM_FISHEYE 640 480 1 1 1 1 1 1 1 1 1 1 1 1\n";
     let said = refused("cameras.txt", prism);
@@ -430,10 +436,10 @@ fn binary_cameras_of_colmap_are_chosen_alike() {
 fn kitti_raw(rectified: &str) -> String {
     let camera = |id: &str, focal: &str| {
         format!(
-            "S_{id}: 6.400000e+02 4.800000e+02\nK_{id}: {focal} 0.0 318.6 0.0 416.5 235.3 0.0 0.0 1.0\n\
-             D_{id}: 2.6e-01 -9.5e-01 -5.0e-03 3.0e-03 1.16\nR_{id}: 1 0 0 0 1 0 0 0 1\nT_{id}: 0 0 0\n\
-             S_rect_{id}: {rectified}\nR_rect_{id}: 1 0 0 0 1 0 0 0 1\nP_rect_{id}: 5.0e+02 0 3.1e+02 0 0 5.0e+02 \
-             2.3e+02 0 0 0 1 0\n"
+            "S_{id}: 6.400000e+02 4.800000e+02\nK_{id}: {focal} 0.0 318.6 0.0 416.5 235.3 0.0 0.0 \
+             1.0\nD_{id}: 2.6e-01 -9.5e-01 -5.0e-03 3.0e-03 1.16\nR_{id}: 1 0 0 0 1 0 0 0 1\n\
+             T_{id}: 0 0 0\nS_rect_{id}: {rectified}\nR_rect_{id}: 1 0 0 0 1 0 0 0 1\nP_rect_{id}: \
+             5.0e+02 0 3.1e+02 0 0 5.0e+02 2.3e+02 0 0 0 1 0\n"
         )
     };
     format!(
@@ -467,9 +473,10 @@ fn kitti_raw_has_matrices_for_each_size() {
 fn basalt_names_its_models() {
     let basalt = |model: &str, own: &str| {
         format!(
-            "{{\"value0\": {{\"T_imu_cam\": [{{\"px\": 0.04}}], \"intrinsics\": [{{\"camera_type\": \"{model}\", \
-             \"intrinsics\": {{\"fx\": 417.3, \"fy\": 416.5, \"cx\": 318.6, \"cy\": 235.3{own}}}}}], \
-             \"resolution\": [[640, 480]], \"vignette\": []}}}}"
+            "{{\"value0\": {{\"T_imu_cam\": [{{\"px\": 0.04}}], \"intrinsics\": \
+             [{{\"camera_type\": \"{model}\", \"intrinsics\": {{\"fx\": 417.3, \"fy\": 416.5, \
+             \"cx\": 318.6, \"cy\": 235.3{own}}}}}], \"resolution\": [[640, 480]], \"vignette\": \
+             []}}}}"
         )
     };
     for (model, own, expected) in [
@@ -483,8 +490,8 @@ fn basalt_names_its_models() {
         ("pinhole", "", Distortion::None),
         (
             "pinhole-radtan8",
-            ", \"k1\": 0.6, \"k2\": -2.6, \"p1\": 0.0008, \"p2\": -0.0002, \"k3\": 1.5, \"k4\": 0.48, \"k5\": -2.42, \
-             \"k6\": 1.43, \"rpmax\": 2.7",
+            ", \"k1\": 0.6, \"k2\": -2.6, \"p1\": 0.0008, \"p2\": -0.0002, \"k3\": 1.5, \"k4\": \
+             0.48, \"k5\": -2.42, \"k6\": 1.43, \"rpmax\": 2.7",
             RATIONAL,
         ),
     ] {

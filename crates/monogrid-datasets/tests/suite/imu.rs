@@ -52,8 +52,9 @@ fn columns_and_units_of_phones_are_found() {
     // seconds, g, degrees, another order of columns
     let path = file(
         folder.path(),
-        "seconds_elapsed,accel_x (g),accel_y (g),accel_z (g),gyro_x (deg/s),gyro_y (deg/s),gyro_z (deg/s)\n\
-         12.50,0.1,-0.99,0,90,0,-45\n12.51,0.1,-0.99,0,90,0,-45\n12.52,0.1,-0.99,0,90,0,-45\n",
+        "seconds_elapsed,accel_x (g),accel_y (g),accel_z (g),gyro_x (deg/s),gyro_y (deg/s),gyro_z \
+         (deg/s)\n12.50,0.1,-0.99,0,90,0,-45\n12.51,0.1,-0.99,0,90,0,-45\n\
+         12.52,0.1,-0.99,0,90,0,-45\n",
     );
     let found = ImuFile::read(&path).unwrap();
     let first = found.samples[0];

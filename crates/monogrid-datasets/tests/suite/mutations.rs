@@ -171,37 +171,39 @@ const CALIBRATIONS: &[(&str, &str)] = &[
     ),
     (
         "c.yaml",
-        "image_width: 640\nimage_height: 480\ndistortion_model: plumb_bob\n\
-                    camera_matrix:\n  rows: 3\n  cols: 3\n  data: [500, 0, 320, 0, 500, 240, 0, 0, 1]\n\
-                    distortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [0.1, 0, 0, 0, 0]\n",
+        "image_width: 640\nimage_height: 480\ndistortion_model: plumb_bob\ncamera_matrix:\n  rows: \
+         3\n  cols: 3\n  data: [500, 0, 320, 0, 500, 240, 0, 0, 1]\ndistortion_coefficients:\n  \
+         rows: 1\n  cols: 5\n  data: [0.1, 0, 0, 0, 0]\n",
     ),
     (
         "c.xml",
-        "<?xml version=\"1.0\"?>\n<opencv_storage>\n<image_width>640</image_width>\n<image_height>480</image_height>\n\
-                    <fisheye_model>1</fisheye_model>\n<camera_matrix type_id=\"opencv-matrix\">\n<rows>3</rows><cols>3</cols>\n\
-                    <data>500. 0. 320. 0. 500. 240. 0. 0. 1.</data></camera_matrix>\n<distortion_coefficients>\n\
-                    <data>0.1 0. 0. 0.</data></distortion_coefficients>\n</opencv_storage>\n",
+        "<?xml version=\"1.0\"?>\n<opencv_storage>\n<image_width>640</image_width>\n\
+         <image_height>480</image_height>\n<fisheye_model>1</fisheye_model>\n<camera_matrix \
+         type_id=\"opencv-matrix\">\n<rows>3</rows><cols>3</cols>\n<data>500. 0. 320. 0. 500. 240. \
+         0. 0. 1.</data></camera_matrix>\n<distortion_coefficients>\n<data>0.1 0. 0. \
+         0.</data></distortion_coefficients>\n</opencv_storage>\n",
     ),
     (
         "ost.txt",
-        "# oST\n[image]\nwidth\n640\nheight\n480\n[camera]\ncamera matrix\n500 0 320\n0 500 240\n0 0 1\n\
-                    distortion\n0.1 0.2 0.001 0.002 0.3 0.4 0.5 0.6\n",
+        "# oST\n[image]\nwidth\n640\nheight\n480\n[camera]\ncamera matrix\n500 0 320\n0 500 240\n0 \
+         0 1\ndistortion\n0.1 0.2 0.001 0.002 0.3 0.4 0.5 0.6\n",
     ),
     (
         "c.yaml",
         "model_type: MEI\nimage_width: 640\nimage_height: 480\nmirror_parameters:\n   xi: 1.8\n\
-                    distortion_parameters:\n   k1: -0.1\n   k2: 0.4\n   p1: 0.0003\n   p2: 0.0004\n\
-                    projection_parameters:\n   gamma1: 900\n   gamma2: 901\n   u0: 320\n   v0: 240\n",
+         distortion_parameters:\n   k1: -0.1\n   k2: 0.4\n   p1: 0.0003\n   p2: 0.0004\n\
+         projection_parameters:\n   gamma1: 900\n   gamma2: 901\n   u0: 320\n   v0: 240\n",
     ),
     (
         "c.yaml",
-        "cam0: {camera_model: ds, intrinsics: [-0.2, 0.6, 300, 300, 320, 240],\n  resolution: [640, 480]}\n\
-                    cam1:\n  intrinsics:\n  - 1\n  - 2\n",
+        "cam0: {camera_model: ds, intrinsics: [-0.2, 0.6, 300, 300, 320, 240],\
+         \n  resolution: [640, 480]}\n\
+         cam1:\n  intrinsics:\n  - 1\n  - 2\n",
     ),
     (
         "c.json",
-        "{\"value0\": {\"intrinsics\": [{\"camera_type\": \"eucm\", \"intrinsics\": {\"fx\": 300, \"fy\": 300, \
-                    \"cx\": 320, \"cy\": 240, \"alpha\": 0.6, \"beta\": 1.1}}], \"resolution\": [[640, 480]]}}",
+        r#"{"value0": {"intrinsics": [{"camera_type": "eucm", "intrinsics": {"fx": 300, "fy": 300,
+            "cx": 320, "cy": 240, "alpha": 0.6, "beta": 1.1}}], "resolution": [[640, 480]]}}"#,
     ),
     (
         "cameras.txt",
@@ -209,8 +211,8 @@ const CALIBRATIONS: &[(&str, &str)] = &[
     ),
     (
         "calib_cam_to_cam.txt",
-        "calib_time: 09-Jan-2012 13:57:47\nS_00: 640 480\nK_00: 500 0 320 0 500 240 0 0 1\n\
-                    D_00: 0.1 0.2 0.001 0.002 0.3\nS_rect_00: 620 460\nP_rect_00: 500 0 310 0 0 500 230 0 0 0 1 0\n",
+        "calib_time: 09-Jan-2012 13:57:47\nS_00: 640 480\nK_00: 500 0 320 0 500 240 0 0 1\nD_00: \
+         0.1 0.2 0.001 0.002 0.3\nS_rect_00: 620 460\nP_rect_00: 500 0 310 0 0 500 230 0 0 0 1 0\n",
     ),
     (
         "calib.txt",

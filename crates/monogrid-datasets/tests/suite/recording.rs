@@ -398,7 +398,11 @@ fn unusable_pixels_are_dropped_and_counted() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..Default::default() })]
+    #![proptest_config(ProptestConfig {
+        cases: 200,
+        failure_persistence: None,
+        ..Default::default()
+    })]
 
     #[test]
     fn corrupted_anywhere_it_yields_every_untouched_record(

@@ -93,7 +93,8 @@ fn tum_layout_sorts_and_reports_disorder() {
     }
     fs::write(
         root.path().join("rgb.txt"),
-        "# timestamp filename\n2.000000001 rgb/b.png\n1.5 rgb/a.png\n3 rgb/c d.png\n3.0 rgb/a.png\n",
+        "# timestamp filename\n2.000000001 rgb/b.png\n1.5 rgb/a.png\n3 rgb/c d.png\n3.0 \
+         rgb/a.png\n",
     )
     .expect("writable");
     fs::write(
@@ -440,7 +441,8 @@ fn kitti_raw_has_a_date_for_each_image() {
         for k in [0, 2] {
             image(&drive.join(format!("{camera}/data/{k:010}.png")));
         }
-        let dates = "2011-09-26 13:02:25.900000000\n2011-09-26 13:02:26.000000000\n2011-09-26 13:02:26.100000000\n";
+        let dates = "2011-09-26 13:02:25.900000000\n2011-09-26 13:02:26.000000000\n2011-09-26 \
+            13:02:26.100000000\n";
         fs::write(drive.join(camera).join("timestamps.txt"), dates).expect("writable");
     }
     let numbers =

@@ -132,14 +132,24 @@ fn twist() -> impl Strategy<Value = Vec6> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..Default::default() })]
+    #![proptest_config(ProptestConfig {
+        cases: 64,
+        failure_persistence: None,
+        ..Default::default()
+    })]
 
     #[test]
-    fn tum_round_trips(twists in prop::collection::vec(twist(), 1..10), start in -1_000_000_000_000i64..2_000_000_000_000_000_000) {
+    fn tum_round_trips(
+        twists in prop::collection::vec(twist(), 1..10),
+        start in -1_000_000_000_000i64..2_000_000_000_000_000_000,
+    ) {
         let poses: Vec<TimedPose> = twists
             .iter()
             .enumerate()
-            .map(|(i, t)| TimedPose { timestamp_ns: start + i as i64, world_from_camera: Se3::exp(t) })
+            .map(|(i, t)| TimedPose {
+                timestamp_ns: start + i as i64,
+                world_from_camera: Se3::exp(t),
+            })
             .collect();
         let folder = tempfile::tempdir().expect("folder");
         let file = folder.path().join("trajectory.txt");
@@ -157,7 +167,8 @@ proptest! {
 
     #[test]
     fn sim3_round_trips(t in twist(), log_scale in -3.0..3.0f64) {
-        let sim3 = Sim3::exp(&Vec7::from_column_slice(&[t[0], t[1], t[2], t[3], t[4], t[5], log_scale]));
+        let tangent = [t[0], t[1], t[2], t[3], t[4], t[5], log_scale];
+        let sim3 = Sim3::exp(&Vec7::from_column_slice(&tangent));
         let folder = tempfile::tempdir().expect("folder");
         let file = folder.path().join("align.txt");
         write_sim3(&file, &sim3).expect("writable");

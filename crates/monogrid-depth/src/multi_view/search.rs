@@ -249,7 +249,9 @@ for_lanes! {
         patch: &Patch,
     ) -> Normal;
     /// One less the normalised correlation, limited.
-    fn cost_at = cost_at_with, (projection: &PixelProjection<'_>, idepth: f64, patch: &Patch) -> f32;
+    fn cost_at = cost_at_with, (
+        projection: &PixelProjection<'_>, idepth: f64, patch: &Patch
+    ) -> f32;
 }
 
 #[inline(always)]

@@ -46,7 +46,8 @@ pub enum DepthError {
     },
     /// Not one of so many estimates where the truth is known.
     #[error(
-        "none of the {0} depth estimates lies where the true depth is known; do the images belong together?"
+        "none of the {0} depth estimates lies where the true depth is known; do the images belong \
+         together?"
     )]
     NoTruth(usize),
 }

@@ -96,8 +96,8 @@ pub enum TrajectoryError {
     /// The trajectories hardly overlap in time.
     #[error(
         "{found} poses of {estimated} estimated and {truth} true ones lie within \
-         {max_difference_secs} s of each other, expected at least {expected}; are both files in the \
-         same clock, in seconds?"
+         {max_difference_secs} s of each other, expected at least {expected}; are both files in \
+         the same clock, in seconds?"
     )]
     TooFewMatches {
         /// Pairs found.
@@ -113,7 +113,8 @@ pub enum TrajectoryError {
     },
     /// The positions do not determine an alignment.
     #[error(
-        "cannot align the estimated trajectory to the true one: {0}; try to compare it without alignment"
+        "cannot align the estimated trajectory to the true one: {0}; try to compare it without \
+         alignment"
     )]
     Alignment(#[from] AlignmentError),
 }

@@ -78,8 +78,8 @@ pub enum TruthError {
     /// Triangles that lie in one another: marking them would take far longer than the box they lie
     /// in.
     #[error(
-        "the triangles of the surface touch about {cells} cells, one after the other, allowed are {max_cells}; do they lie in \
-         one another? Choose a larger resolution"
+        "the triangles of the surface touch about {cells} cells, one after the other, allowed are \
+         {max_cells}; do they lie in one another? Choose a larger resolution"
     )]
     TooMuchSurface {
         /// Cells that all triangles touch together.

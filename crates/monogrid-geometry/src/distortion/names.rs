@@ -3,9 +3,9 @@
 use super::Distortion;
 
 /// Models that there are, for messages.
-const SUPPORTED: &str = "there are pinhole, radial-tangential (k1 k2 p1 p2 [k3]), rational (k1 k2 p1 p2 k3 k4 k5 k6), \
-                         equidistant (Kannala-Brandt: k1 k2 k3 k4), fov (omega), double sphere (xi alpha), extended \
-                         unified (alpha beta) and omnidirectional (Mei: xi k1 k2 p1 p2)";
+const SUPPORTED: &str = "there are pinhole, radial-tangential (k1 k2 p1 p2 [k3]), rational (k1 k2 \
+    p1 p2 k3 k4 k5 k6), equidistant (Kannala-Brandt: k1 k2 k3 k4), fov (omega), double sphere (xi \
+    alpha), extended unified (alpha beta) and omnidirectional (Mei: xi k1 k2 p1 p2)";
 
 /// Why a lens cannot be used.
 #[derive(Debug, thiserror::Error, Clone, PartialEq)]
@@ -19,9 +19,9 @@ pub enum LensError {
     },
     /// A picture of everything around, which no lens before a plane has.
     #[error(
-        "camera model {model} is not supported; cut the view ahead out of the video (a face of the cube) and use that \
-         as a pinhole camera with --fov 90: ffmpeg -i VIDEO -vf v360=equirect:flat:h_fov=90:v_fov=90:w=960:h=960 \
-         ahead.mp4"
+        "camera model {model} is not supported; cut the view ahead out of the video (a face of the \
+         cube) and use that as a pinhole camera with --fov 90: ffmpeg -i VIDEO -vf \
+         v360=equirect:flat:h_fov=90:v_fov=90:w=960:h=960 ahead.mp4"
     )]
     Equirectangular {
         /// Its name, as it was found.
@@ -29,7 +29,8 @@ pub enum LensError {
     },
     /// More terms than the model has here.
     #[error(
-        "{terms} is not supported (the coefficients of OpenCV behind k6 are {found:?}); calibrate without it"
+        "{terms} is not supported (the coefficients of OpenCV behind k6 are {found:?}); calibrate \
+         without it"
     )]
     Terms {
         /// What the terms are.

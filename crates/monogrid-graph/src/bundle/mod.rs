@@ -240,8 +240,8 @@ pub enum BundleError {
     },
     /// The distance cannot be held.
     #[error(
-        "keyframe {keyframe} should keep its distance to keyframe {to}, which must be another, fixed \
-         keyframe at another place"
+        "keyframe {keyframe} should keep its distance to keyframe {to}, which must be another, \
+         fixed keyframe at another place"
     )]
     Distance {
         /// The keyframe with [`PoseFreedom::FixedDistance`].

@@ -77,7 +77,8 @@ fn noise_and_outliers_leave_the_window_near_the_truth() {
         scene.problem.keyframes[9].freedom = PoseFreedom::Fixed;
         disturb(&mut scene.problem, 0.03, 0.1, seed + 100);
         let solution = adjust(&scene.problem, &BundleConfig::default()).unwrap();
-        // 0.5 px at 525 px focal length and 4 units distance are 4 mm for one point; the worst of 35 poses.
+        // 0.5 px at 525 px focal length and 4 units distance are 4 mm for one point; the worst of
+        // 35 poses.
         let error = worst_centre_error(&solution.camera_from_world, &scene.true_poses);
         assert!(error < 0.012, "seed {seed}: centre off by {error}");
         let turned = worst_rotation_error(&solution.camera_from_world, &scene.true_poses);

@@ -4,7 +4,8 @@
 //! [`for_lanes`](crate::for_lanes) sees to: on its own it is a call for each operation.
 #![allow(
     unsafe_code,
-    reason = "instructions that not every processor has: there are no values of these types without them"
+    reason = "instructions that not every processor has: there are no values of these types \
+        without them"
 )]
 
 use super::{F32x8, I32x8, Lanes};
@@ -80,8 +81,20 @@ macro_rules! operators {
     )*};
 }
 
-operators!(Floats: Add add _mm256_add_ps, Sub sub _mm256_sub_ps, Mul mul _mm256_mul_ps, Div div _mm256_div_ps, BitAnd bitand _mm256_and_ps);
-operators!(Integers: Add add _mm256_add_epi32, Sub sub _mm256_sub_epi32, BitAnd bitand _mm256_and_si256);
+operators!(
+    Floats:
+    Add add _mm256_add_ps,
+    Sub sub _mm256_sub_ps,
+    Mul mul _mm256_mul_ps,
+    Div div _mm256_div_ps,
+    BitAnd bitand _mm256_and_ps
+);
+operators!(
+    Integers:
+    Add add _mm256_add_epi32,
+    Sub sub _mm256_sub_epi32,
+    BitAnd bitand _mm256_and_si256
+);
 
 /// Operators of a vector and a number: those of a vector that holds it.
 macro_rules! operators_with_a_number {

@@ -214,7 +214,11 @@ impl I32x8 for i32x8 {
 /// not look at them.
 #[macro_export]
 macro_rules! for_lanes {
-    ($($(#[$doc:meta])* $vis:vis fn $name:ident = $with:path, ($($argument:ident: $type:ty),* $(,)?) $(-> $returned:ty)?;)*) => {$(
+    ($(
+        $(#[$doc:meta])*
+        $vis:vis fn $name:ident = $with:path,
+        ($($argument:ident: $type:ty),* $(,)?) $(-> $returned:ty)?;
+    )*) => {$(
         $(#[$doc])*
         #[inline]
         $vis fn $name($($argument: $type),*) $(-> $returned)? {

@@ -125,7 +125,8 @@ pub struct Estimate {
 pub enum NotDetermined {
     /// Too short a path.
     #[error(
-        "{found:.1} s of the path have inertial readings, expected at least {needed:.1} s; see that both have the same clock"
+        "{found:.1} s of the path have inertial readings, expected at least {needed:.1} s; see \
+         that both have the same clock"
     )]
     TooShort {
         /// Found, s.
@@ -135,7 +136,8 @@ pub enum NotDetermined {
     },
     /// The readings do not explain the path.
     #[error(
-        "accelerations do not agree with the path; see where the camera sits on the sensor, the signs of its axes and the clocks"
+        "accelerations do not agree with the path; see where the camera sits on the sensor, the \
+         signs of its axes and the clocks"
     )]
     Contradiction,
     /// It could not be computed.

@@ -398,7 +398,8 @@ fn fused_is_its_definition_on_a_dense_grid_to_the_accuracy_of_the_tables() {
                         let error = (found - expected).abs();
                         assert!(
                             error <= bound,
-                            "{key:?} is {found}, by definition {expected} +- {bound}; {model:?}, {cell}"
+                            "{key:?} is {found}, by definition {expected} +- {bound}; {model:?}, \
+                             {cell}"
                         );
                         compared += 1;
                         occupied += usize::from(expected > 0.5);
@@ -409,8 +410,8 @@ fn fused_is_its_definition_on_a_dense_grid_to_the_accuracy_of_the_tables() {
             }
             let mean = error_sum / f64::from(compared);
             println!(
-                "{model:?} at {cell}: {compared} cells, {occupied} occupied, {edge_cases} left out, \
-                 mean difference {mean:.4}, worst {worst:.3}"
+                "{model:?} at {cell}: {compared} cells, {occupied} occupied, {edge_cases} left \
+                 out, mean difference {mean:.4}, worst {worst:.3}"
             );
             assert!(compared > 20_000 && occupied > 500 && mean < 0.01);
             assert!(edge_cases * 4 < compared, "{edge_cases} edge cases");

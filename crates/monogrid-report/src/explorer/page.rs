@@ -9,10 +9,12 @@ use std::io::{self, Write};
 pub const STYLE: &str = include_str!("../../assets/explorer/style.css");
 
 /// What a page with the explorer is allowed to load: nothing but itself.
-pub const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' data:; style-src 'unsafe-inline'; img-src data:";
+pub const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' data:; style-src \
+    'unsafe-inline'; img-src data:";
 
 /// What the page of a run that goes on may load: answers of the server that it came from.
-pub const LIVE_POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' data:; style-src 'unsafe-inline'; img-src data:; connect-src 'self'";
+pub const LIVE_POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' data:; style-src \
+    'unsafe-inline'; img-src data:; connect-src 'self'";
 
 /// A script of `assets/explorer` and the name under which others import it.
 macro_rules! module {
@@ -41,29 +43,29 @@ const MODULES: [(&str, &str); 10] = [
 /// Licence of three.js, which must go where it goes.
 const LICENCE: &str = include_str!("../../assets/three/LICENSE");
 
-const MARKUP: &str = "\
-<section id=\"explorer\" class=\"explorer\" hidden>\
-<div id=\"stage\" class=\"stage\"><canvas id=\"view3d\" tabindex=\"0\" aria-label=\"map in three dimensions\"></canvas>\
-<p id=\"picked\" class=\"picked\" hidden></p></div>\
-<p id=\"no-webgl\" class=\"warn\" hidden>This browser shows no three-dimensional graphics (WebGL): the map is below, as a picture.</p>\
-<form id=\"switches\"></form><form id=\"cuts\"></form>\
-<p class=\"note\">Drag to turn, right button or two fingers to move, wheel or pinch to come nearer; click two places to measure. \
-Green cross: start of the path, red: its end.</p>\
-<div id=\"timeline-part\"><h3>Over time</h3><canvas id=\"timeline\" class=\"timeline\" tabindex=\"0\" aria-label=\"state of tracking over time\"></canvas>\
-<p id=\"legend\" class=\"legend\"></p><p id=\"moment\" class=\"moment\"></p></div>\
-<div class=\"pair\"><div><h3>From above</h3><form id=\"plan-controls\"></form><div><canvas id=\"plan\"></canvas></div></div>\
-<div id=\"keyframe-part\"><h3>Keyframe</h3><form id=\"keyframe-controls\"></form><canvas id=\"keyframe\"></canvas>\
-<p id=\"keyframe-caption\" class=\"note\"></p></div></div>\
-</section>";
+const MARKUP: &str = "<section id=\"explorer\" class=\"explorer\" hidden><div id=\"stage\" \
+    class=\"stage\"><canvas id=\"view3d\" tabindex=\"0\" aria-label=\"map in three \
+    dimensions\"></canvas><p id=\"picked\" class=\"picked\" hidden></p></div><p id=\"no-webgl\" \
+    class=\"warn\" hidden>This browser shows no three-dimensional graphics (WebGL): the map is \
+    below, as a picture.</p><form id=\"switches\"></form><form id=\"cuts\"></form><p \
+    class=\"note\">Drag to turn, right button or two fingers to move, wheel or pinch to come \
+    nearer; click two places to measure. Green cross: start of the path, red: its end.</p><div \
+    id=\"timeline-part\"><h3>Over time</h3><canvas id=\"timeline\" class=\"timeline\" \
+    tabindex=\"0\" aria-label=\"state of tracking over time\"></canvas><p id=\"legend\" \
+    class=\"legend\"></p><p id=\"moment\" class=\"moment\"></p></div><div \
+    class=\"pair\"><div><h3>From above</h3><form id=\"plan-controls\"></form><div><canvas \
+    id=\"plan\"></canvas></div></div><div id=\"keyframe-part\"><h3>Keyframe</h3><form \
+    id=\"keyframe-controls\"></form><canvas id=\"keyframe\"></canvas><p id=\"keyframe-caption\" \
+    class=\"note\"></p></div></div></section>";
 
-const LIVE_MARKUP: &str = "\
-<section id=\"explorer\" class=\"explorer\"><p id=\"live-state\" class=\"lead\"></p>\
-<div id=\"stage\" class=\"stage\"><canvas id=\"view3d\" tabindex=\"0\" aria-label=\"map in three dimensions\"></canvas></div>\
-<p id=\"no-webgl\" class=\"warn\" hidden>This browser shows no three-dimensional graphics (WebGL).</p>\
-<form id=\"switches\"></form>\
-<div class=\"pair\"><div><h3>Camera</h3><canvas id=\"live-image\"></canvas>\
-<p class=\"note\">Green: points of the newest keyframe where the pose has them.</p></div>\
-<div><h3>Keyframe</h3><canvas id=\"keyframe\"></canvas><p id=\"keyframe-caption\" class=\"note\"></p></div></div></section>";
+const LIVE_MARKUP: &str = "<section id=\"explorer\" class=\"explorer\"><p id=\"live-state\" \
+    class=\"lead\"></p><div id=\"stage\" class=\"stage\"><canvas id=\"view3d\" tabindex=\"0\" \
+    aria-label=\"map in three dimensions\"></canvas></div><p id=\"no-webgl\" class=\"warn\" \
+    hidden>This browser shows no three-dimensional graphics (WebGL).</p><form \
+    id=\"switches\"></form><div class=\"pair\"><div><h3>Camera</h3><canvas \
+    id=\"live-image\"></canvas><p class=\"note\">Green: points of the newest keyframe where the \
+    pose has them.</p></div><div><h3>Keyframe</h3><canvas id=\"keyframe\"></canvas><p \
+    id=\"keyframe-caption\" class=\"note\"></p></div></div></section>";
 
 /// The explorer of a scene: markup, data and scripts. The data are not in memory a second time.
 pub fn write_section(out: &mut dyn Write, scene: &Scene) -> io::Result<()> {

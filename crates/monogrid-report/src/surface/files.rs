@@ -135,7 +135,8 @@ fn description(mesh: &ColouredMesh, unit: &str, bytes: &[usize; 4]) -> Value {
         .zip([34962, 34962, 34962, 34963])
         .map(|(length, target)| {
             offset += length;
-            json!({ "buffer": 0, "byteOffset": offset - length, "byteLength": length, "target": target })
+            let start = offset - length;
+            json!({ "buffer": 0, "byteOffset": start, "byteLength": length, "target": target })
         })
         .collect();
     json!({
@@ -155,10 +156,13 @@ fn description(mesh: &ColouredMesh, unit: &str, bytes: &[usize; 4]) -> Value {
         "buffers": [{ "byteLength": offset }],
         "bufferViews": views,
         "accessors": [
-            { "bufferView": 0, "componentType": FLOAT, "count": count, "type": "VEC3", "min": low, "max": high },
+            { "bufferView": 0, "componentType": FLOAT, "count": count, "type": "VEC3",
+              "min": low, "max": high },
             { "bufferView": 1, "componentType": FLOAT, "count": count, "type": "VEC3" },
-            { "bufferView": 2, "componentType": UNSIGNED_SHORT, "normalized": true, "count": count, "type": "VEC4" },
-            { "bufferView": 3, "componentType": UNSIGNED_INT, "count": 3 * surface.triangles.len(), "type": "SCALAR" },
+            { "bufferView": 2, "componentType": UNSIGNED_SHORT, "normalized": true, "count": count,
+              "type": "VEC4" },
+            { "bufferView": 3, "componentType": UNSIGNED_INT, "count": 3 * surface.triangles.len(),
+              "type": "SCALAR" },
         ],
     })
 }

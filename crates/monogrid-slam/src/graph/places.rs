@@ -14,7 +14,8 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum PlacesError {
     /// The file of the vocabulary cannot be read.
-    #[error("vocabulary {}: {source}; set `slam.graph.places.vocabulary` to a file of `monogrid vocabulary`", path.display())]
+    #[error("vocabulary {}: {source}; set `slam.graph.places.vocabulary` to a file of `monogrid \
+        vocabulary`", path.display())]
     Unreadable {
         /// The file.
         path: PathBuf,

@@ -77,7 +77,10 @@ pub enum SettingError {
 /// ranges are words, switches and names.
 #[macro_export]
 macro_rules! settings {
-    ($config:ident: $type:ty, $old:expr, $($place:expr => $unit:literal, $ranges:tt, $meaning:literal, $reason:literal;)*) => {
+    (
+        $config:ident: $type:ty, $old:expr,
+        $($place:expr => $unit:literal, $ranges:tt, $meaning:literal, $reason:literal;)*
+    ) => {
         $crate::settings::Settings {
             rows: &[$($crate::settings::Setting {
                 name: stringify!($place),

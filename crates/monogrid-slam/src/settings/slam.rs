@@ -6,7 +6,8 @@ use crate::{ConfigError, SlamConfig, settings};
 /// The settings of the section `[slam]`.
 pub const SLAM: Settings<SlamConfig> = settings! { slam: SlamConfig, OLD,
     slam.initialization.mode => "", [],
-        "How a run without given depth starts: from `two-view` geometry, or from `random` depth as LSD-SLAM.",
+        "How a run without given depth starts: from `two-view` geometry, or from `random` depth as \
+         LSD-SLAM.",
         "`random` repeats LSD-SLAM.";
     slam.initialization.num_features => "features", [(10.0, 20_000.0)],
         "Features that are followed from the first frame.",
@@ -15,10 +16,12 @@ pub const SLAM: Settings<SlamConfig> = settings! { slam: SlamConfig, OLD,
         "A two-view start needs this many.",
         "Lower it where few features can be followed. Wrong starts become more likely.";
     slam.initialization.max_buffered_frames => "frames", [(2.0, 3000.0)],
-        "Most frames that are kept while the start waits for parallax. Older ones stay without a pose.",
+        "Most frames that are kept while the start waits for parallax. Older ones stay without a \
+         pose.",
         "Raise it where the camera stands still at first. Frames cost memory.";
     slam.initialization.max_relative_sigma => "share of the inverse depth", [(0.001, 10.0)],
-        "A two-view start is accepted when the median standard deviation of its depth is at most this.",
+        "A two-view start is accepted when the median standard deviation of its depth is at most \
+         this.",
         "Raise it where the parallax is small for long.";
     slam.initialization.seed_relative_sigma => "share of the inverse depth", [(0.0001, 1.0)],
         "Standard deviation of a given depth of the first frame.",
@@ -30,7 +33,8 @@ pub const SLAM: Settings<SlamConfig> = settings! { slam: SlamConfig, OLD,
         "Most points per pyramid level. 0 takes all.",
         "Lower it for speed.";
     slam.tracking.points.enabled => "", [],
-        "Whether points of the sparse layer confirm and correct tracked poses. It needs `slam.sparse.enabled`.",
+        "Whether points of the sparse layer confirm and correct tracked poses. It needs \
+         `slam.sparse.enabled`.",
         "Turn it off for purely direct tracking.";
     slam.keyframes.distance_weight => "", [(0.01, 1000.0)],
         "Weight of the distance, in mean depths, in the choice of keyframes.",
@@ -42,7 +46,8 @@ pub const SLAM: Settings<SlamConfig> = settings! { slam: SlamConfig, OLD,
         "Whether a known view is tracked on an old keyframe in place of a new one.",
         "Turn it off to get a keyframe for every visit of a place.";
     slam.keyframes.refinement.max_passed => "frames", [(0.0, 1000.0)],
-        "Most frames in a row that do not refine the depth because they were taken from almost one place. 0 uses all frames.",
+        "Most frames in a row that do not refine the depth because they were taken from almost one \
+         place. 0 uses all frames.",
         "Raise it for speed at high frame rates.";
     slam.depth.min_gradient => "grey levels per pixel", [(1.0, 100.0)],
         "Pixels with a smaller gradient get no depth from the filter.",
@@ -51,7 +56,8 @@ pub const SLAM: Settings<SlamConfig> = settings! { slam: SlamConfig, OLD,
         "Image noise of the depth filter. Where the noise is estimated, this is the first value.",
         "Set it to the noise of the camera.";
     slam.publication.min_validity => "", [(0.0, 255.0)],
-        "Depth needs this much confirmation by later frames to be published. Each confirmation adds 5.",
+        "Depth needs this much confirmation by later frames to be published. Each confirmation \
+         adds 5.",
         "Lower it for more points, raise it for surer ones.";
     slam.sparse.enabled => "", [],
         "Whether points that several keyframes see adjust their poses (bundle adjustment).",
@@ -63,7 +69,8 @@ pub const SLAM: Settings<SlamConfig> = settings! { slam: SlamConfig, OLD,
         "Newest keyframes whose poses are adjusted together.",
         "Lower it for speed.";
     slam.sparse.final_rounds => "rounds", [(0.0, 10.0)],
-        "Adjustments of all keyframes together after the last frame. 0 leaves the poses to the graph.",
+        "Adjustments of all keyframes together after the last frame. 0 leaves the poses to the \
+         graph.",
         "Lower it to finish sooner.";
     slam.sparse.final_max_keyframes => "keyframes", [(0.0, 5000.0)],
         "Larger maps are not adjusted as a whole. The time grows with the third power.",
@@ -84,29 +91,34 @@ pub const SLAM: Settings<SlamConfig> = settings! { slam: SlamConfig, OLD,
         "Whether all keyframes look for constraints once more at the end.",
         "Turn it off to finish sooner.";
     slam.graph.places.enabled => "", [],
-        "Whether keyframes are recognised by their appearance. Loops after drift and relocalisation need it.",
+        "Whether keyframes are recognised by their appearance. Loops after drift and \
+         relocalisation need it.",
         "Turn it off where different places look alike.";
     slam.graph.places.method => "", [],
         "How places are recognised: by `corners`, or by `fab-map` as the thesis does.",
         "`fab-map` repeats the thesis.";
     slam.graph.places.vocabulary => "file", [],
-        "Words of FAB-MAP, made by `monogrid vocabulary`. Empty takes those that come with the program.",
+        "Words of FAB-MAP, made by `monogrid vocabulary`. Empty takes those that come with the \
+         program.",
         "Train one for scenes unlike indoor rooms.";
     slam.fragments.enabled => "", [],
-        "Whether a lost camera starts a new fragment of the map. It needs `slam.graph.enabled` and `slam.graph.places.enabled`.",
+        "Whether a lost camera starts a new fragment of the map. It needs `slam.graph.enabled` and \
+         `slam.graph.places.enabled`.",
         "Turn it off to wait for a known place.";
     slam.fragments.min_lost_secs => "s of video", [(0.01, 1e6)],
-        "The camera must be lost this long before a fragment starts. A known place is recognised sooner.",
+        "The camera must be lost this long before a fragment starts. A known place is recognised \
+         sooner.",
         "Lower it for fast cameras, raise it to get fewer fragments.";
     slam.fragments.max_apart => "fragments", [(0.0, 1000.0)],
         "Most fragments that are not joined. With as many, a lost camera waits.",
         "Raise it for long recordings with many losses.";
     slam.fragments.min_times_larger => "", [(1.0, f64::INFINITY)],
-        "A fragment becomes the map at the end when it has this many times as many frames. A map in metres or of an \
-        earlier session stays.",
+        "A fragment becomes the map at the end when it has this many times as many frames. A map \
+         in metres or of an earlier session stays.",
         "`inf` keeps the first map in any case.";
     slam.merge.min_agreeing => "keyframes", [(1.0, 1000.0)],
-        "Two maps are joined when this many keyframes of each are recognised in the other and agree.",
+        "Two maps are joined when this many keyframes of each are recognised in the other and \
+         agree.",
         "Raise it where different places look alike.";
     slam.inertial.gyroscope_bias_sigma => "rad/s", [(0.00001, 1.0)],
         "Standard deviation of the gyroscope's bias before it is estimated.",
@@ -121,7 +133,8 @@ pub const SLAM: Settings<SlamConfig> = settings! { slam: SlamConfig, OLD,
         "Results become level when the direction of gravity is at least this precise.",
         "Raise it to accept a rough direction.";
     slam.memory.keyframes_mb => "MB", [(0.0, 1e6)],
-        "Images and depth of keyframes in memory. The rest lies in a temporary file. No result depends on it.",
+        "Images and depth of keyframes in memory. The rest lies in a temporary file. No result \
+         depends on it.",
         "Raise it where the disk is slow, lower it on small computers.";
     slam.memory.prepared_mb => "MB", [(0.0, 1e6)],
         "Image pyramids of keyframes in memory. Others are made again. No result depends on it.",

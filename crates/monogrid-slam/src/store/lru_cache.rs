@@ -26,8 +26,8 @@ pub struct StoreBytes {
 /// A keyframe is lost that lay in the file for those that are not in memory.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "a keyframe cannot be read back from the file for those that are not in memory: {0}; write to another disk, or keep more of them \
-     in memory (slam.memory.keyframes_mb)"
+    "a keyframe cannot be read back from the file for those that are not in memory: {0}; write to \
+     another disk, or keep more of them in memory (slam.memory.keyframes_mb)"
 )]
 pub struct SpillError(String);
 
@@ -197,7 +197,8 @@ impl LruCache {
                 // what is in the file stays there; the rest stays in memory
                 self.own.limit = usize::MAX;
                 self.note(&format!(
-                    "keyframes stay in memory, since no more can be written to the file for them: {error}"
+                    "keyframes stay in memory, since no more can be written to the file for them: \
+                     {error}"
                 ));
                 false
             }

@@ -173,8 +173,9 @@ mod tests {
             "newmtl a\nKd 0.5 0.5 0.5\nnewmtl b\nKd 1 0 0\n",
         )
         .unwrap();
-        let text = "# test\nmtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvn 0 0 1\n\
-                    usemtl a\nf 1 2 3 4\nusemtl b\nf -4/1 -3/2 -2/3\nf 1/1/1 2/2/1 4/3/1\nf 1//1 3//1 4//1\n";
+        let text = "# test\nmtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 \
+            1\nvn 0 0 1\nusemtl a\nf 1 2 3 4\nusemtl b\nf -4/1 -3/2 -2/3\nf 1/1/1 2/2/1 4/3/1\nf \
+            1//1 3//1 4//1\n";
         std::fs::write(&path, text).unwrap();
         let model = MeshModel::read(&path).unwrap();
         let square = [
@@ -206,15 +207,18 @@ mod tests {
             ("d.ply", "plx\n"),
             (
                 "e.ply",
-                "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n",
+                "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\n\
+                 property float z\nend_header\n0 0 0\n",
             ),
             (
                 "f.ply",
-                "ply\nformat ascii 1.0\nelement vertex 9999999999\nproperty float x\nproperty float y\nproperty float z\nend_header\n",
+                "ply\nformat ascii 1.0\nelement vertex 9999999999\nproperty float x\nproperty \
+                 float y\nproperty float z\nend_header\n",
             ),
             (
                 "g.ply",
-                "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nend_header\nabc",
+                "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\n\
+                 property float y\nproperty float z\nend_header\nabc",
             ),
             ("h.stl", ""),
         ];
@@ -230,10 +234,11 @@ mod tests {
     fn vertices_without_a_place_are_left_out_with_their_faces() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("cloud.ply");
-        let header = "ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n\
-                      property uchar red\nproperty uchar green\nproperty uchar blue\nelement face 2\n\
-                      property list uchar int vertex_indices\nend_header\n";
-        let rows = "nan 0 0 9 9 9\n0 0 0 0 0 0\n1 0 0 255 255 255\n0 inf 0 9 9 9\n0 1 0 0 0 0\n3 0 1 2\n3 1 2 4\n";
+        let header = "ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\n\
+            property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n\
+            element face 2\nproperty list uchar int vertex_indices\nend_header\n";
+        let rows = "nan 0 0 9 9 9\n0 0 0 0 0 0\n1 0 0 255 255 255\n0 inf 0 9 9 9\n0 1 0 0 0 0\n3 0 \
+            1 2\n3 1 2 4\n";
         std::fs::write(&path, [header, rows].concat()).unwrap();
         let model = MeshModel::read(&path).unwrap();
         assert_eq!(model.left_out, 2);
@@ -248,9 +253,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let header = |format: &str| {
             format!(
-                "ply\nformat {format} 1.0\ncomment x\nelement vertex 3\nproperty double x\nproperty float y\n\
-                     property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n\
-                     element face 1\nproperty list uchar int vertex_index\nend_header\n"
+                "ply\nformat {format} 1.0\ncomment x\nelement vertex 3\nproperty double x\n\
+                 property float y\nproperty float z\nproperty uchar red\nproperty uchar green\n\
+                 property uchar blue\nelement face 1\nproperty list uchar int vertex_index\n\
+                 end_header\n"
             )
         };
         let ascii = folder.path().join("a.ply");

@@ -360,8 +360,9 @@ mod tests {
 
     fn header(data: &str) -> String {
         format!(
-            "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z rgb normal\nSIZE 4 4 4 4 8\nTYPE F F F U F\n\
-             COUNT 1 1 1 1 2\nWIDTH 3\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 3\nDATA {data}\n"
+            "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z rgb normal\n\
+             SIZE 4 4 4 4 8\nTYPE F F F U F\nCOUNT 1 1 1 1 2\nWIDTH 3\nHEIGHT 1\nVIEWPOINT 0 0 0 1 \
+             0 0 0\nPOINTS 3\nDATA {data}\n"
         )
     }
 

@@ -48,7 +48,10 @@ pub struct SweepArgs {
     #[arg(long, value_name = "gt:FILE|sim3:FILE")]
     pub align: Option<String>,
     /// Edges of the cells, metres [default: 0.008,0.016,0.032,0.064,0.128]
-    #[arg(long, value_name = "L,...", value_delimiter = ',', value_parser = positive, default_values_t = RESOLUTIONS, hide_default_value = true)]
+    #[arg(
+        long, value_name = "L,...", value_delimiter = ',', value_parser = positive,
+        default_values_t = RESOLUTIONS, hide_default_value = true
+    )]
     pub resolutions: Vec<f64>,
     /// Memory that all maps may take together, GB; maps beyond it are marked
     #[arg(long, value_name = "GB", value_parser = positive, default_value_t = 4.0)]

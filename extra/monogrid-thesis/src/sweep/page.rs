@@ -67,7 +67,10 @@ impl Writer<'_> {
             result.name, result.profile
         ));
         if !result.is_metric {
-            self.page.warning("The scale of this recording is arbitrary: lengths are map units, and L and k mean something else than in the thesis.");
+            self.page.warning(
+                "The scale of this recording is arbitrary: lengths are map units, \
+                and L and k mean something else than in the thesis.",
+            );
         }
         self.table(&folder, &tables::memory(result))?;
         self.figure(&folder, &figures::growth(result))?;

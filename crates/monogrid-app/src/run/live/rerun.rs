@@ -60,8 +60,8 @@ fn program() -> Result<PathBuf, Failure> {
     let mut places = folders.map(|folder| folder.join(&name));
     places.find(|place| place.is_file()).ok_or_else(|| {
         Failure::input(format!(
-            "{PROGRAM} is not installed: cargo install --path extra/monogrid-rerun (Rust 1.95 or newer), and for --view=rerun the viewer: \
-             pip install rerun-sdk"
+            "{PROGRAM} is not installed: cargo install --path extra/monogrid-rerun (Rust 1.95 or \
+             newer), and for --view=rerun the viewer: pip install rerun-sdk"
         ))
     })
 }

@@ -24,9 +24,10 @@ pub fn write_cloud(
     folder.write_with("cloud.ply", |out| {
         write!(
             out,
-            "ply\nformat binary_little_endian 1.0\ncomment lengths in {unit}\ncomment one of {every} measured points\n\
-             element vertex {}\nproperty float x\nproperty float y\nproperty float z\nproperty uchar red\n\
-             property uchar green\nproperty uchar blue\nproperty float confidence\nend_header\n",
+            "ply\nformat binary_little_endian 1.0\ncomment lengths in {unit}\ncomment one of \
+             {every} measured points\nelement vertex {}\nproperty float x\nproperty float y\n\
+             property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n\
+             property float confidence\nend_header\n",
             measured.div_ceil(every)
         )?;
         let points = keyframes.iter().flat_map(|k| k.points(colours));

@@ -234,7 +234,8 @@ pub fn seen_from_above(
 }
 
 /// Comment of a grid whose lengths are not metres.
-pub const UNKNOWN_SCALE_WARNING: &str = "# WARNING: the scale is unknown: resolution and origin are map units, not metres as nav2 takes them\n";
+pub const UNKNOWN_SCALE_WARNING: &str = "# WARNING: the scale is unknown: resolution and origin \
+    are map units, not metres as nav2 takes them\n";
 
 /// What the description of the grid says to people, as comments.
 fn grid_note([low, high]: [f64; 2], ground: Ground) -> String {

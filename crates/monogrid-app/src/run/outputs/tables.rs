@@ -168,7 +168,8 @@ fn reported_poses(
 
 fn frames_csv(rows: &[FrameRow]) -> String {
     let mut text = String::from(
-        "frame,timestamp,state,reason,residual,good_share,usage,exposure_gain,tracking_ms,depth_ms,graph_ms,keyframe,event,fragment,latency_ms\n",
+        "frame,timestamp,state,reason,residual,good_share,usage,exposure_gain,tracking_ms,depth_ms,\
+             graph_ms,keyframe,event,fragment,latency_ms\n",
     );
     for row in rows {
         let (state, reason) = match &row.fate {

@@ -101,7 +101,8 @@ fn below_the_explorer(tracked: &Tracked, input: &ReportInput) -> Page {
     page.heading("Tracking");
     page.ribbon(&ribbon(&tracked.rows));
     page.note(
-        "green: good, yellow: degraded, red: lost, violet: in a fragment of the map, blue: starting, grey: no image",
+        "green: good, yellow: degraded, red: lost, violet: in a fragment of the map, blue: \
+         starting, grey: no image",
     );
     let losses = losses(&tracked.rows);
     if !losses.is_empty() {
@@ -238,7 +239,8 @@ fn show_keyframes(page: &mut Page, tracked: &Tracked) {
     }
     page.heading("Keyframes");
     page.note(
-        "Image; depth (red near, blue far); uncertainty of the depth (green certain, red 10 % or more).",
+        "Image; depth (red near, blue far); uncertainty of the depth (green certain, red 10 % or \
+         more).",
     );
     let shown = count.min(SHOWN_KEYFRAMES);
     let positions = (0..shown).map(|i| i * (count - 1) / (shown - 1).max(1));

@@ -69,12 +69,14 @@ impl Earlier {
         }
         if invalid > 0 {
             warnings.push(format!(
-                "{invalid} edges, points and frames of {name} name what does not exist and were left out"
+                "{invalid} edges, points and frames of {name} name what does not exist and were \
+                 left out"
             ));
         }
         let continuation = recording.continuation.clone().unwrap_or_else(|| {
             warnings.push(format!(
-                "{name} says nothing of edges, points and frames (not finished, a part of a run, or by an earlier version): only keyframes and poses are taken over"
+                "{name} says nothing of edges, points and frames (not finished, a part of a run, \
+                 or by an earlier version): only keyframes and poses are taken over"
             ));
             Continuation::default()
         });
@@ -116,8 +118,8 @@ impl Earlier {
         }
         let (width, height) = input.size();
         Err(Failure::input(format!(
-            "the map of {} was made with images of {of_width}x{of_height} pixels, {}; {} gives {width}x{height}, {}: \
-             expected the same camera and working size",
+            "the map of {} was made with images of {of_width}x{of_height} pixels, {}; {} gives \
+             {width}x{height}, {}: expected the same camera and working size",
             self.path.display(),
             describe(expected),
             input.name,
@@ -249,13 +251,15 @@ mod tests {
             beside.frame(&[], &SensedFrame::default(), &mut never).0
         };
         let floor = frame_of(
-            r#"{"up": {"confidence": 0.3}, "floor": {"camera_height": 1.2, "share": 0.4, "below": 0.0}}"#,
+            r#"{"up": {"confidence": 0.3},
+                "floor": {"camera_height": 1.2, "share": 0.4, "below": 0.0}}"#,
         );
         assert_eq!(floor.floor.map(|floor| floor.camera_height), Some(1.2));
         assert_eq!(floor.up.confidence, Some(0.3));
         assert!(!floor.up.is_certain);
         let table = frame_of(
-            r#"{"up": {"confidence": 0.8}, "floor": null, "level_surface": {"camera_height": 0.5, "share": 0.4, "below": 0.1}}"#,
+            r#"{"up": {"confidence": 0.8}, "floor": null,
+                "level_surface": {"camera_height": 0.5, "share": 0.4, "below": 0.1}}"#,
         );
         assert_eq!((table.floor, table.up.is_certain), (None, true));
         assert_eq!(table.level_surface.map(|table| table.below), Some(0.1));

@@ -28,7 +28,8 @@ impl Source {
         };
         found.ok_or_else(|| {
             Failure::input(format!(
-                "{}: there is no {RECORDING} and no submaps; expected the output folder of an earlier run, its submaps, or a recording",
+                "{}: there is no {RECORDING} and no submaps; expected the output folder of an \
+                 earlier run, its submaps, or a recording",
                 path.display()
             ))
         })

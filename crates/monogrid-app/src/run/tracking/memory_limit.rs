@@ -56,8 +56,8 @@ impl MemoryLimit {
         let megabytes = |bytes: u64| bytes.div_ceil(1_000_000);
         let peak = peak.filter(|peak| *peak > self.0)?;
         Some(format!(
-            "the run took {} MB of memory, more than the {} MB that it should stay within: with every keyframe in a file, this is what the \
-             rest needs",
+            "the run took {} MB of memory, more than the {} MB that it should stay within: with \
+             every keyframe in a file, this is what the rest needs",
             megabytes(peak),
             megabytes(self.0)
         ))

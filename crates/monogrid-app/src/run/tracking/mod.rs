@@ -312,8 +312,9 @@ impl<'a> Tracking<'a> {
         if let Some(radial) = left_radial {
             self.pipeline.take_left_radial(radial);
             warnings.push(format!(
-                "the calibration leaves a radial distortion of {radial:+.4} in the images, by which the poses were adjusted in the end; \
-                 --refine-calibration takes it out of the images"
+                "the calibration leaves a radial distortion of {radial:+.4} in the images, by \
+                 which the poses were adjusted in the end; --refine-calibration takes it out of \
+                 the images"
             ));
         }
         warnings

@@ -110,7 +110,8 @@ pub fn map(args: &EvaluateMapArgs) -> CommandResult {
         Some(recorded) if is_recording => mapped(recorded, args)?,
         _ if args.align_points => {
             return Err(Failure::input(
-                "--align-points moves the points of a recording before they are mapped: give the recording instead of the map",
+                "--align-points moves the points of a recording before they are mapped: give the \
+                 recording instead of the map",
             ));
         }
         _ => (mapfile::load(&args.estimate)?.0, None),
@@ -199,8 +200,8 @@ fn print_alignment(alignment: &SurfaceAlignment) {
     let SurfaceAlignment { before, after, .. } = alignment;
     let [from, to] = [before, after].map(|distances| 100.0 * distances.within_a_cell);
     println!(
-        "points brought onto the surfaces of the truth: moved by {:.4}, turned by {:.2} degrees, scaled by {:.4}; median distance {:.4} -> \
-         {:.4}, next to a surface {from:.1} -> {to:.1} %",
+        "points brought onto the surfaces of the truth: moved by {:.4}, turned by {:.2} degrees, \
+         scaled by {:.4}; median distance {:.4} -> {:.4}, next to a surface {from:.1} -> {to:.1} %",
         alignment.moved, alignment.turned_deg, alignment.scale, before.median, after.median
     );
 }
@@ -287,7 +288,8 @@ fn print_cells(report: &MapReport) {
     ) {
         let [free, occupied] = [free, occupied].map(percent);
         println!(
-            "of those that a keyframe looks at: {free} of the free and {occupied} of the occupied cells; known: AUC {:.4}, MCC {:.4}",
+            "of those that a keyframe looks at: {free} of the free and {occupied} of the occupied \
+             cells; known: AUC {:.4}, MCC {:.4}",
             known.auc, known.mcc
         );
     }
@@ -296,7 +298,8 @@ fn print_cells(report: &MapReport) {
     let mean = or_dash(surface.accuracy_m);
     let [beyond, complete] = [surface.accuracy_beyond_3_cells, surface.completeness].map(percent);
     println!(
-        "surface: accuracy median {median}, 90 % {most}, mean {mean}, {beyond} beyond 3 cells; completeness {complete} within {}",
+        "surface: accuracy median {median}, 90 % {most}, mean {mean}, {beyond} beyond 3 cells; \
+         completeness {complete} within {}",
         surface.tolerance_m
     );
     let thickness = &report.thickness;
@@ -304,14 +307,16 @@ fn print_cells(report: &MapReport) {
         .map(|cells| cells.map_or_else(|| "-".to_owned(), |cells| cells.to_string()));
     println!("walls: {found} cells in a row across surfaces (median), {expected} in truth");
     println!(
-        "false walls: {} of {} occupied cells lie over 0.1 outside what the truth knows; MCC {:.4} with these as false",
+        "false walls: {} of {} occupied cells lie over 0.1 outside what the truth knows; MCC {:.4} \
+         with these as false",
         report.predicted_beyond, report.predicted, report.mcc_with_beyond
     );
     let (predicted, outside) = (report.predicted, report.predicted_outside);
     if outside > 0 {
         let share = 100.0 * outside as f64 / predicted as f64;
         println!(
-            "of {predicted} occupied cells {outside} ({share:.1} %) lie beyond the truth: they count in the accuracy and nowhere else"
+            "of {predicted} occupied cells {outside} ({share:.1} %) lie beyond the truth: they \
+             count in the accuracy and nowhere else"
         );
     }
     let (brier, ssd) = (or_dash(report.calibration.brier), report.ssd);
@@ -332,7 +337,8 @@ fn print_paths(report: &PathsReport) {
         report.robot_radius, report.planning_margin, report.planning_cell
     );
     println!(
-        "unknown cells, pairs          pairs   blocked  unreachable  planned   colliding  length  clearance"
+        "unknown cells, pairs          pairs   blocked  unreachable  planned   colliding  length  \
+         clearance"
     );
     let rules = [&report.unknown_blocked, &report.unknown_free];
     for (name, rule) in ["blocked", "free"].into_iter().zip(rules) {
@@ -357,7 +363,8 @@ fn print_stats(name: &str, stats: &PathStats) {
     let length = length.unwrap_or_else(|| "-".to_owned());
     let clearance = or_dash(stats.clearance_median);
     println!(
-        "{name:<28}{:>7}{blocked:>10}{unreachable:>13}{:>9}{colliding:>12}{length:>8}{clearance:>11}",
+        "{name:<28}{:>7}{blocked:>10}{unreachable:>13}{:>9}{colliding:>12}{length:>8}\
+         {clearance:>11}",
         stats.pairs, stats.planned
     );
 }

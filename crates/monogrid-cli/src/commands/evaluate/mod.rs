@@ -132,7 +132,8 @@ fn print_trajectory(report: &TrajectoryReport) {
     };
     let covered = 100.0 * report.coverage;
     println!(
-        "{} poses compared over a path of {:.3}; the estimate covers {covered:.1} % of the {of}; lengths in the unit of the truth",
+        "{} poses compared over a path of {:.3}; the estimate covers {covered:.1} % of the {of}; \
+         lengths in the unit of the truth",
         report.matched, report.path_length
     );
     println!(
@@ -230,7 +231,8 @@ fn compare(
     }
     if num_compared == 0 {
         return Err(Failure::input(format!(
-            "none of the {} keyframes of {} that was not given true depth has a depth image of its time in {}",
+            "none of the {} keyframes of {} that was not given true depth has a depth image of its \
+             time in {}",
             recording.keyframes.len(),
             args.recording.display(),
             args.truth.display()
@@ -312,7 +314,8 @@ fn print_depth(report: &DepthReport) {
         (report.known_pixels, "a true depth", &report.shares_of_known),
     ] {
         println!(
-            "of {pixels} pixels with {what}: {:.1} % have a depth, {:.1} % within 3 %, {:.1} % within 10 %",
+            "of {pixels} pixels with {what}: {:.1} % have a depth, {:.1} % within 3 %, {:.1} % \
+             within 10 %",
             100.0 * shares.density,
             100.0 * shares.within_3_percent,
             100.0 * shares.within_10_percent

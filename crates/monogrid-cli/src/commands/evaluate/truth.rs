@@ -152,8 +152,8 @@ impl Kind {
         match source.to_str() {
             Some(name) if WORLD_NAMES.contains(&name) => Ok(Self::World(name.to_owned())),
             _ => Err(Failure::input(format!(
-                "{} is neither a mesh or cloud (.ply, .pcd, .obj), nor a folder with depth images, nor a built-in \
-                 world ({})",
+                "{} is neither a mesh or cloud (.ply, .pcd, .obj), nor a folder with depth images, \
+                 nor a built-in world ({})",
                 source.display(),
                 WORLD_NAMES.join(", ")
             ))),

@@ -21,7 +21,10 @@ pub struct DistancesArgs {
     #[arg(long, value_name = "Z")]
     pub height: Option<f64>,
     /// Largest distance that is told apart, in the unit of the map; at most 181 cells
-    #[arg(long, value_name = "D", value_parser = positive, default_value_t = DistanceConfig::default().max_distance)]
+    #[arg(
+        long, value_name = "D", value_parser = positive,
+        default_value_t = DistanceConfig::default().max_distance
+    )]
     pub max_distance: f64,
     /// Unknown cells are obstacles
     #[arg(long)]
@@ -113,7 +116,8 @@ impl Layers {
             return Ok(this);
         }
         Err(Failure::input(format!(
-            "the map is {x} x {y} x {z} cells, expected at most {MAX_CELLS}: take one layer (--height) or a part (monogrid crop)"
+            "the map is {x} x {y} x {z} cells, expected at most {MAX_CELLS}: take one layer \
+             (--height) or a part (monogrid crop)"
         )))
     }
 
@@ -150,9 +154,10 @@ impl Layers {
         };
         let axes = if self.is_flat { "y, x" } else { "z, y, x" };
         format!(
-            "array: {}\nresolution: {}\norigin: [{x}, {y}, {z}]\nmax_distance: {}\n\
-             # distances between centres of cells, to the nearest occupied one{or_unknown}, in the unit of the map; max_distance stands\n\
-             # for all that is farther, NaN for unknown cells; axes are {axes}; origin is the centre of the first cell\n",
+            "array: {}\nresolution: {}\norigin: [{x}, {y}, {z}]\nmax_distance: {}\n# distances \
+             between centres of cells, to the nearest occupied one{or_unknown}, in the unit of the \
+             map; max_distance stands\n# for all that is farther, NaN for unknown cells; axes are \
+             {axes}; origin is the centre of the first cell\n",
             name.to_string_lossy(),
             map.resolution(),
             args.max_distance

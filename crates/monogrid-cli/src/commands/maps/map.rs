@@ -51,7 +51,10 @@ pub struct MapArgs {
     #[arg(long, value_name = "gt:FILE|sim3:FILE")]
     pub align: Option<String>,
     /// What z is in a map of a recording [default: as in the run beside the recording, else scene]
-    #[arg(long, value_name = "scene|first-camera|X,Y,Z", value_parser = Up::parse, allow_hyphen_values = true)]
+    #[arg(
+        long, value_name = "scene|first-camera|X,Y,Z", value_parser = Up::parse,
+        allow_hyphen_values = true
+    )]
     pub up: Option<Up>,
     /// Settings, TOML (as config.toml of a run; its section [mapping] is used)
     #[arg(long, value_name = "FILE")]
@@ -261,7 +264,8 @@ impl Kind {
         match path.extension().and_then(|extension| extension.to_str()) {
             Some("scans") => Ok(Self::Scans),
             _ => Err(Failure::input(format!(
-                "{} is neither a recording (.mgk), nor submaps (submaps.json), nor scans (.scans), nor a folder of a run or with depth images",
+                "{} is neither a recording (.mgk), nor submaps (submaps.json), nor scans (.scans), \
+                 nor a folder of a run or with depth images",
                 path.display()
             ))),
         }
@@ -349,7 +353,8 @@ fn given_frame(align: &Align) -> Result<(Sim3, String), Failure> {
             ..
         } => Ok((*map_from_world, description.clone())),
         Align::Trajectory { .. } => Err(Failure::input(
-            "--align gt: needs a recording of a run (.mgk); data with given poses can be moved with sim3:FILE",
+            "--align gt: needs a recording of a run (.mgk); data with given poses can be moved \
+             with sim3:FILE",
         )),
     }
 }

@@ -62,7 +62,8 @@ impl PosedDepthFolder {
             Some(path) => read_trajectory(path).bad_input()?,
             None => dataset.reference_trajectory().bad_input()?.ok_or_else(|| {
                 Failure::input(format!(
-                    "no poses for the depth images of {}: expected groundtruth.txt, or --trajectory FILE",
+                    "no poses for the depth images of {}: expected groundtruth.txt, or \
+                     --trajectory FILE",
                     folder.display()
                 ))
             })?,
@@ -87,7 +88,8 @@ impl PosedDepthFolder {
         let posed: Vec<_> = posed.collect();
         if posed.is_empty() {
             return Err(Failure::input(format!(
-                "none of the {} depth images of {} has a pose of its time; give poses with --trajectory",
+                "none of the {} depth images of {} has a pose of its time; give poses with \
+                 --trajectory",
                 self.dataset.depths.len(),
                 self.dataset.root.display()
             )));

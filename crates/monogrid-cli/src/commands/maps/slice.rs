@@ -73,7 +73,8 @@ pub fn execute(args: &SliceArgs) -> CommandResult {
     let layers = layers(args, resolution, first.z, last.z);
     if layers.is_empty() {
         return Err(Failure::input(format!(
-            "no layer of {} lies between --min-height and --max-height; its cells reach from {:.3} to {:.3}",
+            "no layer of {} lies between --min-height and --max-height; its cells reach from {:.3} \
+             to {:.3}",
             args.map.display(),
             f64::from(first.z) * resolution,
             f64::from(last.z + 1) * resolution
@@ -83,8 +84,9 @@ pub fn execute(args: &SliceArgs) -> CommandResult {
     let pixels = cells[0].saturating_mul(cells[1]);
     if pixels.saturating_mul(layers.len()) > MAX_PIXELS {
         return Err(Failure::input(format!(
-            "{} layers of {} x {} pixels are too many, expected at most {MAX_PIXELS} pixels in all: take fewer layers \
-             (--min-height, --max-height), fewer --pixels, or a part (`monogrid crop`)",
+            "{} layers of {} x {} pixels are too many, expected at most {MAX_PIXELS} pixels in \
+             all: take fewer layers (--min-height, --max-height), fewer --pixels, or a part \
+             (`monogrid crop`)",
             layers.len(),
             cells[0],
             cells[1]
@@ -112,7 +114,8 @@ pub fn execute(args: &SliceArgs) -> CommandResult {
         let out = args.out.display();
         let [low, high] = [layers[0], layers[layers.len() - 1]].map(|z| height(z, resolution));
         println!(
-            "{out}: {} slices from z = {low:.3} to {high:.3}, {} pixels per cell; black occupied, white free, grey unknown",
+            "{out}: {} slices from z = {low:.3} to {high:.3}, {} pixels per cell; black occupied, \
+             white free, grey unknown",
             report.slices, report.pixels_per_cell
         );
     })

@@ -316,10 +316,12 @@ impl RunBeside {
     fn note(&self, [low, high]: [f64; 2]) -> String {
         match self.is_metric {
             Some(true) => format!("# cells from z = {low:.3} to {high:.3} m\n"),
-            Some(false) => format!(
-                "# cells from z = {low:.3} to {high:.3} map units\n{UNKNOWN_SCALE_WARNING}"
-            ),
-            None => "# WARNING: nothing beside the map says its unit; nav2 takes resolution and origin as metres\n".to_owned(),
+            Some(false) => {
+                format!("# cells from z = {low:.3} to {high:.3} map units\n{UNKNOWN_SCALE_WARNING}")
+            }
+            None => "# WARNING: nothing beside the map says its unit; nav2 takes resolution and \
+                origin as metres\n"
+                .to_owned(),
         }
     }
 }
@@ -421,7 +423,8 @@ pub fn plan(args: &PlanArgs) -> CommandResult {
     let path = plan_path(&map, args.from, args.to, &config).bad_input()?;
     args.json.print(&path, || {
         println!(
-            "# x y z in the unit of the map; length {:.3}, at least {:.3} from every obstacle, cells of {}",
+            "# x y z in the unit of the map; length {:.3}, at least {:.3} from every obstacle, \
+             cells of {}",
             path.length, path.clearance, path.planning_cell
         );
         for [x, y, z] in &path.points {

@@ -40,11 +40,17 @@ pub struct BatchArgs {
     #[arg(long, value_name = "KEY=VALUE")]
     pub each: Vec<String>,
     /// Recordings at once [default: all cores]; the results do not depend on it
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Resources")]
+    #[arg(
+        long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024),
+        help_heading = "Resources"
+    )]
     pub jobs: Option<u16>,
     /// Threads of each run [default: the cores, shared by those at once]; the results do not depend
     /// on it
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Resources")]
+    #[arg(
+        long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024),
+        help_heading = "Resources"
+    )]
     pub threads: Option<u16>,
     /// Memory that all runs may take together, GB [default: 80 % of what is free]
     #[arg(long, value_name = "GB", value_parser = positive, help_heading = "Resources")]
@@ -116,7 +122,8 @@ fn chosen(all: Vec<Task>, args: &BatchArgs) -> Result<Vec<Task>, Failure> {
         (Some(name), _) => (
             all.iter().position(|task| task.name == *name),
             format!(
-                "--task {name}: none of the {count} recordings has this name; --dry-run says their names"
+                "--task {name}: none of the {count} recordings has this name; --dry-run says their \
+                 names"
             ),
         ),
         (None, Some(number)) => (

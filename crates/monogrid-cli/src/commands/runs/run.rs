@@ -97,19 +97,26 @@ pub struct RunArgs {
     pub align: Option<String>,
     /// What z is in the results: what the scene says, else as the first camera was held [default:
     /// scene]; or a direction in the first camera (x right, y down, z ahead)
-    #[arg(long, value_name = "scene|first-camera|X,Y,Z", value_parser = Up::parse, allow_hyphen_values = true,
-          conflicts_with = "continue_from", help_heading = "Mapping")]
+    #[arg(
+        long, value_name = "scene|first-camera|X,Y,Z", value_parser = Up::parse,
+        allow_hyphen_values = true, conflicts_with = "continue_from", help_heading = "Mapping"
+    )]
     pub up: Option<Up>,
     /// Play frames at their own pace; where tracking is slower, they wait for at most this long
     /// before some are dropped, evenly [milliseconds, 0 to 60000: 200]
-    #[arg(long, value_name = "MS", num_args = 0..=1, default_missing_value = "200", require_equals = true,
-          value_parser = clap::value_parser!(u64).range(..=60_000), help_heading = "Input")]
+    #[arg(
+        long, value_name = "MS", num_args = 0..=1, default_missing_value = "200",
+        require_equals = true, value_parser = clap::value_parser!(u64).range(..=60_000),
+        help_heading = "Input"
+    )]
     pub realtime: Option<u64>,
     /// Show the run while it goes on: in a browser of this computer [port: any that is free]; with
     /// rerun in the Rerun viewer, with rrd=FILE in a file for it (both by the program
     /// monogrid-rerun)
-    #[arg(long, value_name = "PORT|rerun|rrd=FILE", num_args = 0..=1, default_missing_value = "0", require_equals = true,
-          value_parser = View::parse, help_heading = "Output")]
+    #[arg(
+        long, value_name = "PORT|rerun|rrd=FILE", num_args = 0..=1, default_missing_value = "0",
+        require_equals = true, value_parser = View::parse, help_heading = "Output"
+    )]
     pub view: Option<View>,
     /// Threads of computation [default: all cores]; the results do not depend on it
     #[arg(long, value_name = "N", help_heading = "Settings")]
@@ -121,8 +128,11 @@ pub struct RunArgs {
     /// Close finished keyframes into files that never change while the run goes on, beside the
     /// recording: submaps/*.mgs, and submaps/submaps.json, which says where they lie [keyframes of
     /// each, 1 to 1000: 16]
-    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "16", require_equals = true,
-          value_parser = clap::value_parser!(u16).range(1..=1000), conflicts_with = "localise_only", help_heading = "Output")]
+    #[arg(
+        long, value_name = "N", num_args = 0..=1, default_missing_value = "16",
+        require_equals = true, value_parser = clap::value_parser!(u16).range(1..=1000),
+        conflicts_with = "localise_only", help_heading = "Output"
+    )]
     pub submaps: Option<u16>,
 }
 
@@ -212,7 +222,8 @@ fn base_configuration(args: &RunArgs, earlier: Option<&Earlier>) -> Result<RunCo
     {
         return RunConfig::recorded(&earlier.session.config).ok_or_else(|| {
             Failure::input(format!(
-                "the settings in {} cannot be understood by this version; choose some with --profile or --config",
+                "the settings in {} cannot be understood by this version; choose some with \
+                 --profile or --config",
                 earlier.path.display()
             ))
         });
@@ -239,7 +250,8 @@ fn open(args: &RunArgs, earlier: Option<&Earlier>, config: &RunConfig) -> Result
         let is_own = input.own_calibration.is_some() && may_be_refined;
         if args.refine_calibration && !input.is_repeatable() {
             return Err(Failure::input(
-                "--refine-calibration: found a stream, which is seen only once; expected a file, for a first pass",
+                "--refine-calibration: found a stream, which is seen only once; expected a file, \
+                 for a first pass",
             ));
         }
         if args.seed_depth.is_none() {

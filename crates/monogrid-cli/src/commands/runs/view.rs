@@ -151,7 +151,8 @@ impl Shown {
         let recording = Source::in_folder(folder);
         if !map.is_file() && recording.is_none() {
             return Err(Failure::input(format!(
-                "{} holds neither global.ot nor recording.mgk nor submaps: it is not the folder of a run that came to a map",
+                "{} holds neither global.ot nor recording.mgk nor submaps: it is not the folder of \
+                 a run that came to a map",
                 folder.display()
             )));
         }

@@ -45,7 +45,10 @@ pub struct CalibrateArgs {
     #[arg(long, value_name = "NxM", value_parser = tag_columns_and_rows, conflicts_with = "board")]
     pub aprilgrid: Option<BoardSize>,
     /// Gap between two tags over the side of a tag
-    #[arg(long, value_name = "R", value_parser = tag_spacing, default_value_t = 0.3, requires = "aprilgrid")]
+    #[arg(
+        long, value_name = "R", value_parser = tag_spacing, default_value_t = 0.3,
+        requires = "aprilgrid"
+    )]
     pub tag_spacing: f64,
     /// Lens model [default: the one with the smaller error]
     #[arg(long, value_enum)]

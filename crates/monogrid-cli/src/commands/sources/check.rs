@@ -281,7 +281,8 @@ fn print_report(report: &CheckReport) {
     let [jumps, blurred] = [&report.exposure_jumps, &report.blurred].map(Vec::len);
     let [plain, overexposed] = [&report.plain, &report.overexposed].map(Vec::len);
     println!(
-        "frames that  cannot be read {}, repeat {repeated} ({nearly} more nearly), jump in brightness {jumps}, are blurred {blurred}, plain {plain}, overexposed {overexposed}",
+        "frames that  cannot be read {}, repeat {repeated} ({nearly} more nearly), jump in \
+         brightness {jumps}, are blurred {blurred}, plain {plain}, overexposed {overexposed}",
         report.unreadable
     );
     let (depths, has_truth) = (report.depth_images, report.has_ground_truth);
@@ -289,7 +290,8 @@ fn print_report(report: &CheckReport) {
     println!("depth images {depths}, ground truth {has_truth}");
     if let (Some(imu), Some(interpretation)) = (&report.imu, &report.imu_interpretation) {
         println!(
-            "inertial     {} readings in {:.1} s, {:.0} per second, largest gap {:.3} s, {} saturated",
+            "inertial     {} readings in {:.1} s, {:.0} per second, largest gap {:.3} s, {} \
+             saturated",
             imu.readings, imu.seconds, imu.rate_hz, imu.largest_gap_seconds, imu.saturated
         );
         println!("             {interpretation}");

@@ -20,7 +20,8 @@ const NO_PARENT: u32 = u32::MAX;
 pub enum VocabularyError {
     /// Something else.
     #[error(
-        "not a vocabulary: the file does not begin with MGVOCAB; make one with `monogrid thesis vocabulary`"
+        "not a vocabulary: the file does not begin with MGVOCAB; make one with `monogrid thesis \
+         vocabulary`"
     )]
     Magic,
     /// Another version.
@@ -31,7 +32,8 @@ pub enum VocabularyError {
     },
     /// Words of other descriptors.
     #[error(
-        "vocabulary of descriptors with pattern {found:#x}, expected {PATTERN_SEED:#x}; train it again"
+        "vocabulary of descriptors with pattern {found:#x}, expected {PATTERN_SEED:#x}; train it \
+         again"
     )]
     Pattern {
         /// As the file says.
@@ -45,7 +47,8 @@ pub enum VocabularyError {
     },
     /// Bits have changed.
     #[error(
-        "vocabulary with checksum {found:#010x}, expected {expected:#010x}: it is damaged, copy it again"
+        "vocabulary with checksum {found:#010x}, expected {expected:#010x}: it is damaged, copy it \
+         again"
     )]
     Checksum {
         /// Of the bytes.

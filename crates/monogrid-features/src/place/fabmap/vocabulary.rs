@@ -62,7 +62,8 @@ pub enum TrainingError {
     },
     /// The images look all alike.
     #[error(
-        "the images have {found} different descriptors, expected at least 2: add images with texture"
+        "the images have {found} different descriptors, expected at least 2: add images with \
+         texture"
     )]
     FewWords {
         /// Number of words.

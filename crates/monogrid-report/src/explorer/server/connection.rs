@@ -211,15 +211,10 @@ impl Answer {
         } = self;
         let length = content.len();
         let head = format!(
-            "HTTP/1.1 {status}\r\n\
-             Content-Type: {kind}\r\n\
-             Content-Length: {length}\r\n\
-             Connection: close\r\n\
-             Cache-Control: no-store\r\n\
-             Content-Security-Policy: {policy}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'\r\n\
-             Cross-Origin-Resource-Policy: same-origin\r\n\
-             Referrer-Policy: no-referrer\r\n\
-             X-Content-Type-Options: nosniff\r\n\
+            "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {length}\r\nConnection: \
+             close\r\nCache-Control: no-store\r\nContent-Security-Policy: {policy}; base-uri \
+             'none'; form-action 'none'; frame-ancestors 'none'\r\nCross-Origin-Resource-Policy: \
+             same-origin\r\nReferrer-Policy: no-referrer\r\nX-Content-Type-Options: nosniff\r\n\
              X-Frame-Options: DENY\r\n\r\n"
         );
         out.write_all(head.as_bytes())?;

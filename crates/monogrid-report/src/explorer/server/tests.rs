@@ -181,7 +181,8 @@ fn every_answer_says_what_its_page_may_load_and_is_kept_nowhere() {
         let answer = rest(&mut site.send(&get(path)));
         for line in [
             &format!(
-                "Content-Security-Policy: {policy} base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+                "Content-Security-Policy: {policy} base-uri 'none'; form-action 'none'; \
+                 frame-ancestors 'none'"
             ),
             "X-Content-Type-Options: nosniff",
             "Referrer-Policy: no-referrer",

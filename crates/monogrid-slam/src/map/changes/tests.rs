@@ -149,10 +149,10 @@ fn events_tell_what_a_listener_needs_and_no_more() {
     let moved = map[1].world_from_keyframe;
     map.pose(&[(1, moved)]);
     let events = map.take_events();
-    assert!(
-        matches!(&events[..], [Event::Finished(k, poses)] if k.id == 0 && Arc::ptr_eq(poses, map.snapshot())),
-        "{events:?}"
-    );
+    let [Event::Finished(keyframe, poses)] = &events[..] else {
+        panic!("{events:?}");
+    };
+    assert!(keyframe.id == 0 && Arc::ptr_eq(poses, map.snapshot()));
     assert!(map.take_events().is_empty());
     map.pose(&[(1, moved)]);
     finish(&mut map, 0, 1);
@@ -293,7 +293,11 @@ fn a_fragment_that_is_placed_takes_its_points_along_and_nothing_else() {
     let joined = map.fragments()[0].joined.unwrap();
     assert_eq!((joined.into, joined.frame), (MAIN_MAP, 55));
     let events = map.take_events();
-    assert!(events.iter().any(|event| matches!(event, Event::Joined(fragment) if fragment.id == 1 && fragment.keyframes == 2)));
+    let is_joined = |event: &Event| match event {
+        Event::Joined(fragment) => fragment.id == 1 && fragment.keyframes == 2,
+        _ => false,
+    };
+    assert!(events.iter().any(is_joined));
     assert!(events.iter().any(|event| matches!(event, Event::Moved(_))));
     assert_eq!(map.snapshot().fragment_of(3), MAIN_MAP);
 }

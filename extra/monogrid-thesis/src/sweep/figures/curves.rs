@@ -66,9 +66,9 @@ pub fn distributions(result: &RecordingResult) -> Vec<Figure> {
         Figure {
             file: file.to_owned(),
             title: format!("{title}: {}", result.name),
-            note: "Cells whose truth is inside the box; unobserved ones count at 0.5, as in the thesis. \
-                   Thrun has peaks at both limits (0.12 and 0.97) and at 0.5, Andert one more at its \
-                   free value 0.3."
+            note: "Cells whose truth is inside the box; unobserved ones count at 0.5, as in the \
+                thesis. Thrun has peaks at both limits (0.12 and 0.97) and at 0.5, Andert one more \
+                at its free value 0.3."
                 .to_owned(),
             plots: panels.collect(),
         }

@@ -8,11 +8,12 @@ use crate::sweep::result::RecordingResult;
 /// Every map in one line, for other programs.
 pub fn all_maps_csv(results: &[RecordingResult]) -> String {
     let mut text = String::from(
-        "recording,profile,model,parameter,resolution,keyframes,points,seconds,bytes,bytes_likelihood,\
-         nodes,leaves,extent_x,extent_y,extent_z,bt_bytes,ot_bytes,auc_observed,auc_known,\
-         auc_everything,auc_safety,auc_26_observed,auc_26_known,mcc_observed,precision_observed,\
-         recall_observed,f1_observed,mcc_known,coverage_free,coverage_occupied,\
-         coverage_free_in_view,coverage_occupied_in_view,brier,ssd,occupied_ratio\n",
+        "recording,profile,model,parameter,resolution,keyframes,points,seconds,bytes,\
+         bytes_likelihood,nodes,leaves,extent_x,extent_y,extent_z,bt_bytes,ot_bytes,auc_observed,\
+         auc_known,auc_everything,auc_safety,auc_26_observed,auc_26_known,mcc_observed,\
+         precision_observed,recall_observed,f1_observed,mcc_known,coverage_free,\
+         coverage_occupied,coverage_free_in_view,coverage_occupied_in_view,brier,ssd,\
+         occupied_ratio\n",
     );
     for result in results {
         for record in &result.records {

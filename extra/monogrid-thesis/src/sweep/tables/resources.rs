@@ -144,10 +144,11 @@ pub fn speed(result: &RecordingResult) -> Table {
     Table {
         file: "table-6.6-6.7-speed".to_owned(),
         title: format!("Time (Tables 6.6 and 6.7): {}", result.name),
-        note: "CPU seconds of one core per 100 000 points, and for the whole recording. The thesis \
-               used a core of an i7-4700MQ; its seconds for the whole data set (in brackets) are its \
-               rate times its points. SLAM: frames per second with this mapping running beside it."
-            .to_owned(),
+        note:
+            "CPU seconds of one core per 100 000 points, and for the whole recording. The thesis \
+            used a core of an i7-4700MQ; its seconds for the whole data set (in brackets) are its \
+            rate times its points. SLAM: frames per second with this mapping running beside it."
+                .to_owned(),
         header: words(
             "model | cells | s per 100k | s in all | SLAM | thesis office | thesis machine",
         ),

@@ -34,8 +34,8 @@ impl Score {
             Self::AucKnown => (
                 "auc",
                 "AUC",
-                "Cells whose truth is known, unobserved ones count as 0.5; 26 thresholds, trapezoid. \
-                 Probably the thesis' way; its numbers are of another room.",
+                "Cells whose truth is known, unobserved ones count as 0.5; 26 thresholds, \
+                 trapezoid. Probably the thesis' way; its numbers are of another room.",
             ),
             Self::AucObserved => (
                 "auc-observed",
@@ -45,8 +45,8 @@ impl Score {
             Self::MccObserved => (
                 "mcc",
                 "MCC of observed cells",
-                "Only cells that the map observed, occupied above 0.5. AUC rewards thick walls, MCC \
-                 does not.",
+                "Only cells that the map observed, occupied above 0.5. AUC rewards thick walls, \
+                 MCC does not.",
             ),
         }
     }
@@ -132,9 +132,10 @@ pub fn best_of(result: &RecordingResult) -> Table {
     Table {
         file: "best".to_owned(),
         title: format!("The best values against each other: {}", result.name),
-        note: "Best L and k by AUC of known cells, ties by recall (the thesis' rule). Coverage: of the \
-               cells that a keyframe looks at. Thickness: predicted occupied cells per true one."
-            .to_owned(),
+        note:
+            "Best L and k by AUC of known cells, ties by recall (the thesis' rule). Coverage: of \
+            the cells that a keyframe looks at. Thickness: predicted occupied cells per true one."
+                .to_owned(),
         header: words(
             "cells | model | AUC observed | MCC | precision | recall | AUC known | free covered | \
              occupied covered | thickness",

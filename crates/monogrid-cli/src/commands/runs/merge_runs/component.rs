@@ -117,7 +117,8 @@ pub fn write_component(
         ],
     };
     let facts = json!({
-        "scale": scale, "frame": frame.description, "up": up, "floor": floor, "level_surface": surface,
+        "scale": scale, "frame": frame.description, "up": up, "floor": floor,
+        "level_surface": surface,
     });
     write_facts(&facts)?;
     Ok(Written {

@@ -158,7 +158,8 @@ fn print_summary(out: &Path, summary: &Value) {
             _ => ": not enough",
         };
         println!(
-            "{} and {}: {} pairs of keyframes show the same; {} keyframes agree ({} pairs aligned), {} contradict them{verdict}",
+            "{} and {}: {} pairs of keyframes show the same; {} keyframes agree ({} pairs \
+             aligned), {} contradict them{verdict}",
             pair[0],
             pair[1],
             meeting["sightings"],

@@ -66,8 +66,8 @@ impl ScaleFrom {
             }
         };
         parsed.ok_or_else(|| {
-            "expected factor=F, camera-height=1.5m, trajectory:FILE, or distance:A,B=1.2m, A and B points X:Y:Z of the results or \
-             pixels kID:X:Y of keyframes"
+            "expected factor=F, camera-height=1.5m, trajectory:FILE, or distance:A,B=1.2m, A and B \
+             points X:Y:Z of the results or pixels kID:X:Y of keyframes"
                 .to_owned()
         })
     }
@@ -83,7 +83,10 @@ impl ScaleFrom {
             Self::CameraHeight(metres) => {
                 let height = results.camera_height.ok_or_else(|| {
                     Failure::input(match results.is_over_surface {
-                        true => "camera-height: found the largest level surface, below which things lie (a table?), expected a floor; use a distance",
+                        true => {
+                            "camera-height: found the largest level surface, below which \
+                            things lie (a table?), expected a floor; use a distance"
+                        }
                         false => "camera-height: no floor was found in this run; use a distance",
                     })
                 })?;
@@ -154,7 +157,8 @@ impl Results<'_> {
             .filter(|pixel| offset(pixel.x, pixel.y) <= MAX_PIXEL_DISTANCE);
         let Some(pixel) = nearest else {
             return Err(Failure::input(format!(
-                "k{id}: no depth within {MAX_PIXEL_DISTANCE} pixels of ({}, {}); choose a point on an edge",
+                "k{id}: no depth within {MAX_PIXEL_DISTANCE} pixels of ({}, {}); choose a point on \
+                 an edge",
                 at.x, at.y
             )));
         };
