@@ -21,11 +21,17 @@ struct Clip {
     truth: Vec<StampedPose>,
 }
 
+/// The small demonstration, whose world is made once.
+fn demo() -> &'static SynthSequence {
+    static DEMO: OnceLock<SynthSequence> = OnceLock::new();
+    DEMO.get_or_init(|| SynthSequence::small_demo().unwrap())
+}
+
 /// The first three seconds of the small demonstration, rendered once.
 fn clip() -> &'static Clip {
     static CLIP: OnceLock<Clip> = OnceLock::new();
     CLIP.get_or_init(|| {
-        let sequence = SynthSequence::small_demo().unwrap().shortened(FRAMES);
+        let sequence = demo().clone().shortened(FRAMES);
         let mut inputs = Vec::new();
         let mut truth = Vec::new();
         for k in 0..sequence.len() {
@@ -279,7 +285,7 @@ fn odometry_follows_the_camera_from_frame_to_frame() {
 #[test]
 fn a_kidnapped_camera_is_recognised_at_an_old_keyframe() {
     const SEEN_AGAIN: std::ops::Range<usize> = 4..16;
-    let sequence = SynthSequence::small_demo().unwrap();
+    let sequence = demo();
     let mut inputs: Vec<FrameInput> = (0..300)
         .step_by(3)
         .enumerate()
@@ -442,7 +448,7 @@ const ONE_WAY: usize = 70;
 
 /// Seven seconds again and again, to the last frame and back to the first.
 fn back_and_forth(ways: usize) -> Vec<FrameInput> {
-    let sequence = SynthSequence::small_demo().unwrap();
+    let sequence = demo();
     let frames: Vec<GrayImage> = (0..ONE_WAY)
         .map(|k| sequence.frame(3 * k).unwrap().image)
         .collect();

@@ -2,8 +2,8 @@
 #![allow(clippy::too_many_lines, reason = "a test tells its story in one place")]
 
 use crate::common::{
-    assert_fails, code, copy_of_small_sequence, files, json, monogrid, program, room,
-    small_sequence, stderr, write_images,
+    WITHOUT_DENSE_DEPTH, assert_fails, code, copy_of_small_sequence, files, json, monogrid,
+    program, room, small_sequence, stderr, write_images,
 };
 use monogrid_bags::Bag;
 use monogrid_datasets::{
@@ -15,7 +15,7 @@ use monogrid_occupancy::{Occupancy, read_ot};
 use monogrid_worlds::{EffectsConfig, ImuConfig, SynthConfig, write_sequence_imu};
 use std::fs;
 use std::io::{BufRead, BufReader};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Output, Stdio};
 use std::time::{Duration, Instant};
 
@@ -296,7 +296,7 @@ fn what_nobody_told_of_the_camera_is_found() {
             },
             ..SynthConfig::small()
         };
-        write_images(&room(config).shortened(150), &file("world"));
+        write_images(&room(config).shortened(110), &file("world"));
         fs::write(file("world").join("calibration.txt"), pinhole).unwrap();
         let run = [
             "run".into(),
@@ -308,7 +308,10 @@ fn what_nobody_told_of_the_camera_is_found() {
             "--out".into(),
             file("out"),
         ];
-        let output = monogrid(run);
+        let output = monogrid(
+            run.into_iter()
+                .chain(WITHOUT_DENSE_DEPTH.map(PathBuf::from)),
+        );
         assert_eq!(code(&output), 0, "{}", stderr(&output));
         let summary = json(&output);
         let found_ms = summary["rolling_shutter_ms"].as_f64().unwrap();
@@ -751,6 +754,7 @@ fn every_command_of_the_book_works() {
                 let is_first = words.contains(&"runs/kitchen".to_owned()) && !has("--continue");
                 let frames = if is_first { "90" } else { "60" };
                 words.extend(["--max-frames".into(), frames.into()]);
+                words.extend(WITHOUT_DENSE_DEPTH.map(str::to_owned));
             }
             // it would serve for ever
             "view" if !has("--png") => words.extend(["--html".into(), format!("{number}.html")]),

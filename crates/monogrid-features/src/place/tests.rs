@@ -43,20 +43,10 @@ impl Room {
     }
 
     fn render(&self, world_from_camera: &Se3, seed: u64) -> GrayImage {
-        let render = |texture: &Texture| {
-            texture.render(W, H, |x, y| {
-                let p = Self::hit(world_from_camera, &Vec2::new(x, y));
-                (90.0 * p.x, 90.0 * p.y)
-            })
-        };
-        let (left, right) = (render(&self.left), render(&self.right));
         let mut image = GrayImage::from_fn(W, H, |x, y| {
             let p = Self::hit(world_from_camera, &Vec2::new(x as f64, y as f64));
-            if p.x < 0.0 {
-                left.at(x, y)
-            } else {
-                right.at(x, y)
-            }
+            let wall = if p.x < 0.0 { &self.left } else { &self.right };
+            wall.at(90.0 * p.x, 90.0 * p.y) as f32
         });
         add_noise(&mut image, 1.0, seed);
         image

@@ -305,9 +305,11 @@ pub(super) fn way() -> Vec<Waypoint> {
 mod tests {
     use super::*;
     use crate::{LightingConfig, World};
+    use std::sync::OnceLock;
 
-    fn world() -> World {
-        World::by_name_with("stairs", &LightingConfig::quick()).unwrap()
+    fn world() -> &'static World {
+        static WORLD: OnceLock<World> = OnceLock::new();
+        WORLD.get_or_init(|| World::by_name_with("stairs", &LightingConfig::quick()).unwrap())
     }
 
     /// Height of what is below a point.
@@ -328,7 +330,7 @@ mod tests {
                     4.8 - along
                 };
                 let expected = f64::from(RISE_M) * f64::from(level) + rise * (k as f64 + 1.0);
-                let found = below(&world, [x, y, expected + 1.0]);
+                let found = below(world, [x, y, expected + 1.0]);
                 assert!(
                     (found - expected).abs() < 1e-5,
                     "{level} {k}: {found} {expected}"
@@ -342,7 +344,7 @@ mod tests {
         let world = world();
         let eyes: Vec<[f64; 3]> = way().into_iter().map(|(eye, _)| eye).collect();
         for eye in &eyes {
-            let height_m = eye[2] - below(&world, *eye);
+            let height_m = eye[2] - below(world, *eye);
             assert!((1.3..1.6).contains(&height_m), "{eye:?}: {height_m}");
         }
         let heights: Vec<f64> = eyes.iter().map(|eye| eye[2] - EYE_M).collect();
@@ -358,7 +360,7 @@ mod tests {
         let mut highest = 0.0f64;
         for k in 0..400 {
             let ([x, y, z], _) = walker(0.25 * f64::from(k));
-            let ground = below(&world, [x, y, z + 0.5]);
+            let ground = below(world, [x, y, z + 0.5]);
             assert!((z - ground).abs() < 0.17, "{k}: {z} above {ground}");
             let ahead = walker(0.25 * f64::from(k) + 0.25).0;
             let moved = [x - ahead[0], y - ahead[1], z - ahead[2]];
