@@ -9,8 +9,8 @@ pub(crate) struct Texture {
     waves: Vec<[f64; 4]>,
 }
 
-/// Sine of an angle in turns, to 1e-7. Drawing textures with that of the standard library would take
-/// most of the time of these tests.
+/// Sine of an angle in turns, to 1e-7. With that of the standard library, drawing textures would
+/// take most of the time of these tests.
 fn sine_of_turns(turns: f64) -> f64 {
     /// A number added to this and taken from it again is rounded.
     const ROUNDING: f64 = 1.5 * (1u64 << 52) as f64;
