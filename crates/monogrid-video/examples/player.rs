@@ -1,9 +1,11 @@
-//! Plays images of one size there and back as a camera would: YUV4MPEG2 on standard output, each frame at its own time.
+//! Plays images of one size there and back as a camera would: YUV4MPEG2 on standard output, each
+//! frame at its own time.
 //!
 //!     cargo run -p monogrid-video --example player -- FOLDER 30 600 | monogrid run - --realtime
 //!
-//! FOLDER holds JPEG, PNG or PNM files, which are played in the order of their names; those that repeat the one before are left out. Then
-//! frames per second, and seconds. All images are decoded before the first is played, so that playing costs next to nothing.
+//! FOLDER holds JPEG, PNG or PNM files, which are played in the order of their names; those that
+//! repeat the one before are left out. Then frames per second, and seconds. All images are decoded
+//! before the first is played, so that playing costs next to nothing.
 
 use monogrid_datasets::read_gray;
 use std::error::Error;

@@ -1,4 +1,5 @@
-//! Reading in a thread of its own: whoever waits for what is read can stop waiting, whatever the source does.
+//! Reading in a thread of its own: whoever waits for what is read can stop waiting, whatever the
+//! source does.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -7,7 +8,8 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// How long a source on the network may send nothing that is whole, unless something else is asked for.
+/// How long a source on the network may send nothing that is whole, unless something else is asked
+/// for.
 const NETWORK_LIMIT: Duration = Duration::from_secs(10);
 
 /// Items that are read ahead.
@@ -55,8 +57,8 @@ pub enum Waited<T> {
     Interrupted,
 }
 
-/// Items that a thread of its own makes. The thread ends with its work, or when it has an item that nobody takes any more; one
-/// that hangs in the system is left alone and never waited for.
+/// Items that a thread of its own makes. The thread ends with its work, or when it has an item that
+/// nobody takes any more; one that hangs in the system is left alone and never waited for.
 #[derive(Debug)]
 pub struct Aside<T> {
     items: Receiver<T>,

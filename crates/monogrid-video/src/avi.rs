@@ -1,8 +1,8 @@
 //! AVI with MJPEG: what many webcams and microscopes record.
 //!
-//! The frames are the chunks `##dc` and `##db` of the video stream in the lists `movi` (several RIFF
-//! parts where the file is longer than 1 GiB), each a JPEG image. An empty chunk says that the frame
-//! before is shown again; it only counts for the time.
+//! The frames are the chunks `##dc` and `##db` of the video stream in the lists `movi` (several
+//! RIFF parts where the file is longer than 1 GiB), each a JPEG image. An empty chunk says that the
+//! frame before is shown again; it only counts for the time.
 
 use crate::{Elsewhere, Here, Opened, VideoError, VideoFrame, jpeg_frame, time_at_rate};
 use std::fs::File;
@@ -90,7 +90,8 @@ fn chunks(mut content: &[u8]) -> impl Iterator<Item = ([u8; 4], &[u8])> {
     })
 }
 
-/// The first video stream in `hdrl`: a list `strl` with `strh` (kind, codec, rate) and `strf` (bitmap).
+/// The first video stream in `hdrl`: a list `strl` with `strh` (kind, codec, rate) and `strf`
+/// (bitmap).
 fn find_stream(headers: &[u8]) -> Option<Stream> {
     let lists = chunks(headers.strip_prefix(b"hdrl")?)
         .filter(|(kind, _)| kind == b"LIST")

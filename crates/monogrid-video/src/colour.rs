@@ -1,12 +1,14 @@
 //! What a frame shows beside its luma.
 //!
-//! Tracking needs luma only, and of most frames nobody ever wants the colour. So it is kept as small as it comes: planes of colour
-//! differences are made smaller, frames that are JPEG files are decoded by whoever wants to see one.
+//! Tracking needs luma only, and of most frames nobody ever wants the colour. So it is kept as
+//! small as it comes: planes of colour differences are made smaller, frames that are JPEG files are
+//! decoded by whoever wants to see one.
 
 use crate::turn::Turn;
 use monogrid_image::Image;
 
-/// Longer side of the planes that are kept, px: colour is coarse beside luma, which has all the detail.
+/// Longer side of the planes that are kept, px: colour is coarse beside luma, which has all the
+/// detail.
 const MAX_SIDE: usize = 200;
 
 /// Largest distance from the middle of what is no colour, but noise of the encoder.
@@ -46,7 +48,8 @@ pub struct Chroma {
 }
 
 impl Chroma {
-    /// Of planes of this size with one byte per sample, turned; `None` where they are too short, or grey.
+    /// Of planes of this size with one byte per sample, turned; `None` where they are too short, or
+    /// grey.
     pub(crate) fn new(
         [blue, red]: [&[u8]; 2],
         (width, height): (usize, usize),
@@ -80,7 +83,8 @@ impl Chroma {
     #[must_use]
     pub fn at_size(&self, (width, height): (usize, usize)) -> Image<[u8; 2]> {
         let (known_width, known_height) = (self.planes.width(), self.planes.height());
-        // the place among `known` samples of pixel `k` of `count`: the sample before, the one after, and the way between them
+        // the place among `known` samples of pixel `k` of `count`: the sample before, the one
+        // after, and the way between them
         let place = |k: usize, count: usize, known: usize| {
             let at = (k as f32 + 0.5) * known as f32 / count as f32 - 0.5;
             let at = at.clamp(0.0, known as f32 - 1.0);

@@ -2,7 +2,8 @@
 
 use std::io::{Error, ErrorKind};
 
-/// What is wrong with a video, camera or stream; every message names it, what was found and what to do.
+/// What is wrong with a video, camera or stream; every message names it, what was found and what to
+/// do.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum VideoError {
@@ -63,8 +64,8 @@ pub enum VideoError {
     },
     /// It sent nothing that is whole for longer than it may take.
     #[error(
-        "{video:?} has sent no whole frame for {seconds} s: found silence or less than a frame, expected at least \
-         one; check the sender and the network, or allow more time"
+        "{video:?} has sent no whole frame for {seconds} s: found silence or less than a frame, \
+         expected at least one; check the sender and the network, or allow more time"
     )]
     Stalled {
         /// The address, pipe, file or camera.

@@ -1,8 +1,8 @@
 //! All other codecs and streams, through the program `ffmpeg`.
 //!
-//! It runs beside this process and writes luma as YUV4MPEG2 into a pipe; its filter `showinfo` says on
-//! standard error when each frame is shown, which YUV4MPEG2 cannot carry. Both come in the order of
-//! frames, so the n-th time belongs to the n-th frame.
+//! It runs beside this process and writes luma as YUV4MPEG2 into a pipe; its filter `showinfo` says
+//! on standard error when each frame is shown, which YUV4MPEG2 cannot carry. Both come in the order
+//! of frames, so the n-th time belongs to the n-th frame.
 
 use crate::program::Program;
 use crate::turn::Turn;
@@ -33,26 +33,33 @@ const DEINTERLACE: &str = "bwdif=mode=send_frame:deint=interlaced";
 /// Longest message that is kept, characters.
 const MAX_MESSAGE: usize = 300;
 
-/// What may be opened for a file: itself alone. A playlist would otherwise name other files of this computer.
+/// What may be opened for a file: itself alone. A playlist would otherwise name other files of this
+/// computer.
 const PROTOCOLS_OF_FILES: &str = "file";
 
-/// What may be opened for an address: others on the network, for playlists and what they point to, and never a file.
-const PROTOCOLS_OF_ADDRESSES: &str = "http,https,httpproxy,tls,tcp,udp,udplite,rtp,srtp,rtmp,rtmps,rtmpt,rtmpts,srt,mmsh,mmst,ftp,crypto,data";
+/// What may be opened for an address: others on the network, for playlists and what they point to,
+/// and never a file.
+const PROTOCOLS_OF_ADDRESSES: &str = "\
+    http,https,httpproxy,tls,tcp,udp,udplite,rtp,srtp,rtmp,rtmps,rtmpt,rtmpts,srt,mmsh,mmst,ftp,\
+    crypto,data";
 
-/// Containers and coded streams as they are. Left out are all that name other files (playlists, scripts, numbered images) or no file
-/// (devices, sources of filters).
-const FORMATS: &str = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg,mpegvideo,m4v,flv,live_flv,asf,asf_o,ogg,mxf,gxf,nut,\
-rm,ivf,obu,av1,h261,h263,h264,hevc,vvc,vc1,vc1test,dirac,cavsvideo,avs2,avs3,mjpeg,mjpeg_2000,yuv4mpegpipe,dv,wtv,nsv,nuv,smjpeg,\
-mpjpeg,gif,apng,webp_pipe,swf,dxa,fli,roq,vivo,4xm,dhav,lmlm4,r3d,ffm,kux,xmv";
+/// Containers and coded streams as they are. Left out are all that name other files (playlists,
+/// scripts, numbered images) or no file (devices, sources of filters).
+const FORMATS: &str = "\
+    mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg,mpegvideo,m4v,flv,live_flv,asf,asf_o,\
+    ogg,mxf,gxf,nut,rm,ivf,obu,av1,h261,h263,h264,hevc,vvc,vc1,vc1test,dirac,cavsvideo,avs2,avs3,\
+    mjpeg,mjpeg_2000,yuv4mpegpipe,dv,wtv,nsv,nuv,smjpeg,mpjpeg,gif,apng,webp_pipe,swf,dxa,fli,\
+    roq,vivo,4xm,dhav,lmlm4,r3d,ffm,kux,xmv";
 
 /// Those of streams, whose parts are named by what was fetched before.
 const FORMATS_OF_ADDRESSES: &str = "rtsp,sdp,rtp,hls,applehttp,dash,aac,mp3,ac3,eac3,webvtt,sap";
 
-/// Schemes whose connections take a limit of their own. RTSP has one under another name in each version of ffmpeg; it ends with
-/// the thread that reads.
+/// Schemes whose connections take a limit of their own. RTSP has one under another name in each
+/// version of ffmpeg; it ends with the thread that reads.
 const LIMITED_SCHEMES: [&str; 6] = ["http", "https", "rtmp", "rtmps", "tcp", "tls"];
 
-/// How long such a connection may be silent: longer than is usually waited for, which has the better message.
+/// How long such a connection may be silent: longer than is usually waited for, which has the
+/// better message.
 const SILENCE_US: &str = "60000000";
 
 /// Starts ffmpeg on a file or address.
@@ -114,7 +121,8 @@ pub(crate) fn open(
 fn interlaced(live: bool) -> &'static str {
     match live {
         true => {
-            "the stream is interlaced and is not deinterlaced while it comes: set the camera to progressive, or record it first"
+            "the stream is interlaced and is not deinterlaced while it comes: set the camera to \
+             progressive, or record it first"
         }
         false => "the video is interlaced: ffmpeg makes whole frames of its fields (bwdif)",
     }
@@ -236,12 +244,14 @@ fn listen(
     Ok((messages, said))
 }
 
-/// What a line says that tells of a format or protocol that is not allowed: `[hls @ 0x55] Format not on whitelist 'mov,...'`.
+/// What a line says that tells of a format or protocol that is not allowed:
+/// `[hls @ 0x55] Format not on whitelist 'mov,...'`.
 fn refusal(line: &str) -> String {
     let what = line.trim_start_matches('[').split([' ', ']']).next();
     let what = what.unwrap_or_default();
     format!(
-        "found {what}, which may name other files (a playlist, a script, a device), expected a single video"
+        "found {what}, which may name other files (a playlist, a script, a device), expected a \
+         single video"
     )
 }
 
@@ -273,7 +283,8 @@ fn is_undecoded(line: &str) -> bool {
     .any(|said| line.contains(said))
 }
 
-/// How far frames are turned by a line of the description of the input: `displaymatrix: rotation of -90.00 degrees`.
+/// How far frames are turned by a line of the description of the input:
+/// `displaymatrix: rotation of -90.00 degrees`.
 fn turned_degrees(line: &str) -> Option<f64> {
     let word = line.split("displaymatrix: rotation of ").nth(1)?;
     word.split_whitespace().next()?.parse().ok()
@@ -298,7 +309,8 @@ impl Process {
         }
     }
 
-    /// What there is to say when it writes no more, after so many frames: nothing where it ended as it should.
+    /// What there is to say when it writes no more, after so many frames: nothing where it ended as
+    /// it should.
     fn end(&mut self, num_frames: usize) -> Option<VideoError> {
         let status = self.program.wait();
         if status.is_none_or(|status| status.success()) {

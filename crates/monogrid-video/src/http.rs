@@ -79,7 +79,8 @@ fn read_header(reader: &mut impl BufRead) -> std::io::Result<Vec<String>> {
     Err(endless_header())
 }
 
-/// A line without the space around it, or the beginning of a very long one; and whether the stream goes on after it.
+/// A line without the space around it, or the beginning of a very long one; and whether the stream
+/// goes on after it.
 fn read_line(reader: &mut impl BufRead) -> std::io::Result<(String, bool)> {
     let mut line = Vec::new();
     reader.take(MAX_LINE).read_until(b'\n', &mut line)?;
@@ -164,8 +165,9 @@ impl<R: BufRead> MjpegFrames<R> {
         Ok(Next::Image(image))
     }
 
-    /// The header of the next image; `None` where the stream ends before one has begun. The boundary may stand alone, before empty
-    /// lines or as the first line of a header; all lines together are counted.
+    /// The header of the next image; `None` where the stream ends before one has begun. The
+    /// boundary may stand alone, before empty lines or as the first line of a header; all lines
+    /// together are counted.
     fn part_header(&mut self) -> std::io::Result<Option<Vec<String>>> {
         let mut header = Vec::new();
         for _ in 0..MAX_LINES {

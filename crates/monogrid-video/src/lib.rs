@@ -8,13 +8,14 @@
 //! | AVI with MJPEG, YUV4MPEG2, `-` or a named pipe (YUV4MPEG2) | this process |
 //! | `/dev/video0` | this process: YUYV, MJPEG or grey of a V4L2 camera (Linux) |
 //! | `http://...` that answers with MJPEG (a phone as camera) | this process |
-//! | rosbag2 (`.mcap`, `.db3`) and ROS 1 bags, by [`Video::open_recording`] | this process (`monogrid-bags`) |
-//! | every other file, `rtsp://...` and other addresses | the program `ffmpeg`, when it is installed |
+//! | rosbag2 and ROS 1 bags, by [`Video::open_recording`] | this process (`monogrid-bags`) |
+//! | other files, `rtsp://...` and other addresses | the program `ffmpeg`, when it is installed |
 //!
-//! Images are luma; the colour of a frame comes beside it, as small as its source has it ([`Colour`]).
-//! Never more than a few frames are in memory. Times are those of the container or camera (variable
-//! rates, edit lists and reordered frames are understood), never number over rate, except where the
-//! format knows only a rate (AVI, YUV4MPEG2). Videos that were filmed upright come out upright.
+//! Images are luma; the colour of a frame comes beside it, as small as its source has it
+//! ([`Colour`]). Never more than a few frames are in memory. Times are those of the container or
+//! camera (variable rates, edit lists and reordered frames are understood), never number over rate,
+//! except where the format knows only a rate (AVI, YUV4MPEG2). Videos that were filmed upright come
+//! out upright.
 //!
 //! ```no_run
 //! let video = monogrid_video::Video::open("video.mp4")?;
@@ -26,9 +27,9 @@
 //! # Ok::<(), monogrid_video::VideoError>(())
 //! ```
 //!
-//! Everything that comes from outside is checked: a damaged or hostile file is an error, never a panic,
-//! a hang, or memory without bounds. A source is opened and read in a thread of its own: one that stalls
-//! costs whoever waits for it no more than their [`Patience`].
+//! Everything that comes from outside is checked: a damaged or hostile file is an error, never a
+//! panic, a hang, or memory without bounds. A source is opened and read in a thread of its own: one
+//! that stalls costs whoever waits for it no more than their [`Patience`].
 #![deny(missing_docs)]
 
 mod aside;
@@ -88,7 +89,8 @@ pub struct VideoFrame {
     pub image: Grey,
     /// What it shows beside luma.
     pub colour: Colour,
-    /// Time, nanoseconds: of the container for files, since the first frame for cameras and streams.
+    /// Time, nanoseconds: of the container for files, since the first frame for cameras and
+    /// streams.
     pub timestamp_ns: i64,
 }
 
@@ -97,8 +99,8 @@ pub(crate) type Frames = Box<dyn Iterator<Item = Result<VideoFrame, VideoError>>
 
 /// An open video, camera or stream: an iterator over its frames in the order of time.
 ///
-/// An error that [is of a single frame](VideoError::is_single_frame) may be followed by more frames,
-/// any other is the last item.
+/// An error that [is of a single frame](VideoError::is_single_frame) may be followed by more
+/// frames, any other is the last item.
 pub struct Video {
     name: String,
     begun: Begun,
@@ -199,8 +201,8 @@ impl Elsewhere {
 }
 
 /// What is said of a container that mirrors its picture.
-pub(crate) const MIRRORED: &str = "the display matrix of the container mirrors the picture, and a mirrored picture makes a mirrored \
-                                   world: images are used as they are stored";
+pub(crate) const MIRRORED: &str = "the display matrix of the container mirrors the picture, and a \
+    mirrored picture makes a mirrored world: images are used as they are stored";
 
 /// A decoder whose first frame was read.
 struct Started {
@@ -327,8 +329,8 @@ impl Started {
 }
 
 impl Video {
-    /// Opens a file, `-`, a camera (`/dev/video0`) or an address and decodes its first frame, with the
-    /// [usual patience](Patience::usual).
+    /// Opens a file, `-`, a camera (`/dev/video0`) or an address and decodes its first frame, with
+    /// the [usual patience](Patience::usual).
     ///
     /// # Errors
     /// When it is not there, cannot be decoded (also not by ffmpeg), or has no frame.
@@ -345,11 +347,12 @@ impl Video {
         Self::begin(source.as_ref(), patience, Source::start)
     }
 
-    /// Opens a recording of a robot ([`is_recording`]): the images of a topic, or of the only one that has some, and the camera
-    /// by the calibration that was recorded with them.
+    /// Opens a recording of a robot ([`is_recording`]): the images of a topic, or of the only one
+    /// that has some, and the camera by the calibration that was recorded with them.
     ///
     /// # Errors
-    /// When it cannot be read, or no topic or several could be meant; when it takes too long or is interrupted.
+    /// When it cannot be read, or no topic or several could be meant; when it takes too long or is
+    /// interrupted.
     pub fn open_recording(
         source: impl AsRef<Path>,
         topic: Option<&str>,
@@ -450,7 +453,8 @@ impl Video {
         self.begun.turn.readout_direction(self.begun.size)
     }
 
-    /// Frames so far whose time did not come after that of the frame before and was set right behind it.
+    /// Frames so far whose time did not come after that of the frame before and was set right
+    /// behind it.
     #[must_use]
     pub fn repaired_times(&self) -> usize {
         self.clock.repaired
@@ -470,7 +474,8 @@ impl Video {
         let missing = self.begun.missing.count();
         let missing = (missing > 0).then(|| {
             format!(
-                "{missing} frames of the file are damaged or could not be decoded: they are missing, or show what is not so"
+                "{missing} frames of the file are damaged or could not be decoded: they are \
+                 missing, or show what is not so"
             )
         });
         missing.into_iter().chain(self.clock.fault()).collect()
@@ -593,7 +598,8 @@ impl Clock {
     fn fault(&self) -> Option<String> {
         let faulty = self.faulty;
         let set_back = format!(
-            "; the clock was set back {} times, by up to {:.3} s: times behind that go on from those before",
+            "; the clock was set back {} times, by up to {:.3} s: times behind that go on from \
+             those before",
             self.jumps,
             self.largest_jump_ns as f64 * 1e-9
         );

@@ -70,12 +70,13 @@ impl PixelShape {
         }
         let Some((width, height)) = self.square_size(size) else {
             return Some(format!(
-                "pixels are said to be {across}:{along}, which is taken for damage: images are used as they are stored"
+                "pixels are said to be {across}:{along}, which is taken for damage: images are \
+                 used as they are stored"
             ));
         };
         Some(format!(
-            "pixels are not square ({across}:{along}): images of {}x{} are stretched to {width}x{height}; a calibration may be for \
-             either size",
+            "pixels are not square ({across}:{along}): images of {}x{} are stretched to \
+             {width}x{height}; a calibration may be for either size",
             size.0, size.1
         ))
     }

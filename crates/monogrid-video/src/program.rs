@@ -10,8 +10,8 @@ const LOOK_EVERY: Duration = Duration::from_millis(5);
 
 /// A program that runs for a source: the thread that reads starts it, any thread may end it.
 ///
-/// It is in a process group of its own, so that an interrupt at the terminal, which is for this process, does not reach it, and
-/// what it started is ended with it.
+/// It is in a process group of its own, so that an interrupt at the terminal, which is for this
+/// process, does not reach it, and what it started is ended with it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Program(Arc<Mutex<State>>);
 
@@ -90,7 +90,8 @@ impl State {
     }
 }
 
-/// Puts the program into a group of its own; where the system can do that (Linux), it ends with this process however that ends.
+/// Puts the program into a group of its own; where the system can do that (Linux), it ends with
+/// this process however that ends.
 fn end_with_us(command: &mut Command) {
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(command, 0);

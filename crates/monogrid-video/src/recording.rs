@@ -11,7 +11,8 @@ use std::path::Path;
 /// given in its place.
 pub type Recorded = Result<Option<Camera>, BagError>;
 
-/// Opens a topic of a recording, or the only one with images; with the camera that the recording says.
+/// Opens a topic of a recording, or the only one with images; with the camera that the recording
+/// says.
 pub(crate) fn open(
     path: &Path,
     name: &str,

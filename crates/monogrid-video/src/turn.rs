@@ -14,8 +14,8 @@ pub(crate) enum Turn {
 }
 
 impl Turn {
-    /// From the upper left 2x2 part `[a, b, c, d]` of a display matrix (ISO 14496-12, 8.3.2.3): a pixel
-    /// (x, y) is shown at (a x + c y, b x + d y). `None` where it is no quarter turn.
+    /// From the upper left 2x2 part `[a, b, c, d]` of a display matrix (ISO 14496-12, 8.3.2.3): a
+    /// pixel (x, y) is shown at (a x + c y, b x + d y). `None` where it is no quarter turn.
     pub(crate) fn from_matrix(matrix: [i32; 4]) -> Option<Self> {
         match matrix.map(i32::signum) {
             [1, 0, 0, 1] => Some(Self::None),

@@ -154,7 +154,9 @@ impl<R: BufRead> Y4mReader<R> {
     pub(crate) fn note(&self) -> Option<String> {
         let is_interlaced = self.layout.fields != Fields::None;
         is_interlaced.then(|| {
-            "the stream is interlaced: of each frame the first field is used, with rows between its own".to_owned()
+            "the stream is interlaced: of each frame the first field is used, with rows between \
+             its own"
+                .to_owned()
         })
     }
 

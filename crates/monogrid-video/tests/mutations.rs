@@ -1,4 +1,5 @@
-//! Damaged files: no panic, no hang, no memory without bounds. `MUTATION_COPIES` and `MUTATION_SEED` make more and other ones.
+//! Damaged files: no panic, no hang, no memory without bounds. `MUTATION_COPIES` and
+//! `MUTATION_SEED` make more and other ones.
 #![allow(clippy::unwrap_used, clippy::print_stderr, reason = "tests")]
 
 use monogrid_video::Video;

@@ -20,7 +20,8 @@ pub struct CameraInfo {
     pub modes: Vec<String>,
 }
 
-/// The cameras of this computer that deliver YUYV, MJPEG or grey, in the order of their device files.
+/// The cameras of this computer that deliver YUYV, MJPEG or grey, in the order of their device
+/// files.
 #[must_use]
 pub fn list_cameras() -> Vec<CameraInfo> {
     #[cfg(target_os = "linux")]

@@ -22,8 +22,8 @@ const BUFFERS: u32 = 4;
 /// How long a camera may deliver nothing.
 const TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Controls that keep brightness and sharpness as they are: identifier (`linux/v4l2-controls.h`), value
-/// and what it locks. Cameras without one of them refuse it, which changes nothing.
+/// Controls that keep brightness and sharpness as they are: identifier (`linux/v4l2-controls.h`),
+/// value and what it locks. Cameras without one of them refuse it, which changes nothing.
 const LOCKS: [(u32, i64, &str); 3] = [
     (0x009a_0901, 1, "exposure"), // V4L2_CID_EXPOSURE_AUTO: manual
     (0x009a_090c, 0, "focus"),    // V4L2_CID_FOCUS_AUTO: off

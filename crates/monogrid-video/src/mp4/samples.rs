@@ -1,4 +1,5 @@
-//! Where the samples of a track lie and when each is shown, read from the run-length tables one by one.
+//! Where the samples of a track lie and when each is shown, read from the run-length tables one by
+//! one.
 
 use shiguredo_mp4::Either;
 use shiguredo_mp4::boxes::{StblBox, StszBox};

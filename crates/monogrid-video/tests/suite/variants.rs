@@ -227,7 +227,8 @@ fn combing(image: &Image<u8>) -> f64 {
 #[test]
 fn fields_are_made_whole_frames() {
     let folder = tempfile::tempdir().unwrap();
-    let pattern = "testsrc2=size=96x96:rate=50:duration=1,scroll=horizontal=0.03,tinterlace=mode=interleave_top,setfield=tff";
+    let pattern = "testsrc2=size=96x96:rate=50:duration=1,scroll=horizontal=0.03,\
+                   tinterlace=mode=interleave_top,setfield=tff";
     let mpeg2 = ["-c:v", "mpeg2video", "-q:v", "2", "-flags", "+ilme+ildct"].as_slice();
     let h264 = ["-c:v", "libx264", "-qp", "10", "-x264opts", "tff=1"].as_slice();
     for (name, codec) in [("video.mpg", mpeg2), ("video.mp4", h264)] {
