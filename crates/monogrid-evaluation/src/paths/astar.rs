@@ -30,16 +30,17 @@ struct Node {
     is_closed: bool,
 }
 
-/// Entry of the queue: least estimate of the whole path first, then the one farther along (cost), then by index. Both lengths are
-/// given by their bits, whose order is that of numbers that are not negative.
+/// Entry of the queue: least estimate of the whole path first, then the one farther along (cost),
+/// then by index. Both lengths are given by their bits, whose order is that of numbers that are not
+/// negative.
 type Open = (Reverse<u32>, u32, Reverse<u32>);
 
 /// Cells next to a blocked one are never used: it spares every look beyond the border.
 const MIN_CLEARANCE: f32 = 1.001;
 
 impl<'a> Planner<'a> {
-    /// Plans over the cells that are at least `clearance` cells from every blocked one, and more than
-    /// one.
+    /// Plans over the cells that are at least `clearance` cells from every blocked one, and more
+    /// than one.
     pub fn new(grid: &'a DistanceGrid, clearance: f32) -> Self {
         let steps = steps(grid);
         Self {
@@ -51,7 +52,8 @@ impl<'a> Planner<'a> {
         }
     }
 
-    /// Number of the connected set of free cells that a cell belongs to, from 1; 0 when it is not free.
+    /// Number of the connected set of free cells that a cell belongs to, from 1; 0 when it is not
+    /// free.
     pub fn component(&self, index: usize) -> u32 {
         self.component[index]
     }

@@ -1,4 +1,5 @@
-//! A dense grid of blocked cells for planning, with the distance of every cell to the nearest of them.
+//! A dense grid of blocked cells for planning, with the distance of every cell to the nearest of
+//! them.
 //!
 //! Reference: Felzenszwalb and Huttenlocher, *Distance transforms of sampled functions*, Theory of
 //! Computing 2012: exact, one axis after the other.

@@ -1,9 +1,9 @@
 //! What matters to a robot: are there paths through the map, and are they safe in the world?
 //!
 //! Flow: coarsen map and truth to planning cells → distance of every cell to what blocks → seeded
-//! pairs of start and goal in true free space → A* in the truth and in the map → each path checked in
-//! the other. The robot is a ball; a path is planned with a margin and collides without it, so that
-//! maps that differ by the rounding of a cell are not called wrong.
+//! pairs of start and goal in true free space → A* in the truth and in the map → each path checked
+//! in the other. The robot is a ball; a path is planned with a margin and collides without it, so
+//! that maps that differ by the rounding of a cell are not called wrong.
 
 mod astar;
 mod grid;
@@ -24,8 +24,8 @@ use serde::Serialize;
 pub struct PathConfig {
     /// Radius of the robot, map units, positive. Default 0.15.
     pub robot_radius: f64,
-    /// Paths keep this much more distance than the robot needs, map units. Default: the diagonal of a
-    /// planning cell.
+    /// Paths keep this much more distance than the robot needs, map units. Default: the diagonal of
+    /// a planning cell.
     pub planning_margin: Option<f64>,
     /// Pairs of start and goal. Default 1000.
     pub pairs: usize,
@@ -127,11 +127,12 @@ pub struct PathStats {
 pub struct PathReport {
     /// Over all pairs.
     pub all: PathStats,
-    /// Over the pairs inside the observed space: around start and goal the map knows every cell that
-    /// the robot fills.
+    /// Over the pairs inside the observed space: around start and goal the map knows every cell
+    /// that the robot fills.
     pub observed: PathStats,
-    /// Over the pairs whose shortest path in the truth runs through the observed space: all along it the map
-    /// knows every cell that the robot fills. What blocks these are false obstacles alone.
+    /// Over the pairs whose shortest path in the truth runs through the observed space: all along
+    /// it the map knows every cell that the robot fills. What blocks these are false obstacles
+    /// alone.
     pub path_observed: PathStats,
 }
 
@@ -266,8 +267,8 @@ fn validate(config: &PathConfig) -> Result<(), PathError> {
     }
 }
 
-/// States of cubes of `factor` cells along each axis: occupied when any of them is, else free when at least half are; `index` says
-/// where a cube lies among `count`.
+/// States of cubes of `factor` cells along each axis: occupied when any of them is, else free when
+/// at least half are; `index` says where a cube lies among `count`.
 fn coarse_states(
     map: &OccupancyMap,
     index: impl Fn([i32; 3]) -> Option<usize>,

@@ -14,7 +14,8 @@ pub struct PlanConfig {
     pub robot_radius: f64,
     /// Whether it may enter unknown cells. Default: it may not.
     pub through_unknown: bool,
-    /// Most cells of the grid that is searched; larger maps are planned on larger cells. Default 20,000,000 (0.5 GB).
+    /// Most cells of the grid that is searched; larger maps are planned on larger cells. Default
+    /// 20,000,000 (0.5 GB).
     pub max_cells: usize,
 }
 
@@ -37,7 +38,8 @@ pub struct PlannedPath {
     pub points: Vec<[f64; 3]>,
     /// Length, map units.
     pub length: f64,
-    /// Least distance from the robot's centre to the surface of an obstacle, map units; at least the radius.
+    /// Least distance from the robot's centre to the surface of an obstacle, map units; at least
+    /// the radius.
     pub clearance: f64,
     /// Edge of the cells that were planned on.
     pub planning_cell: f64,
@@ -65,12 +67,14 @@ pub enum PlanError {
     },
     /// The robot does not fit there.
     #[error(
-        "the robot does not fit at the {end}: the nearest cell that blocks it is {distance:.3} away, its radius is {radius}"
+        "the robot does not fit at the {end}: the nearest cell that blocks it is {distance:.3} \
+         away, its radius is {radius}"
     )]
     NoRoom {
         /// Start or goal.
         end: &'static str,
-        /// Distance to the centre of the nearest cell that is occupied, or unknown and not to be entered.
+        /// Distance to the centre of the nearest cell that is occupied, or unknown and not to be
+        /// entered.
         distance: f64,
         /// Radius of the robot.
         radius: f64,
@@ -80,8 +84,8 @@ pub enum PlanError {
     NotConnected(f64),
 }
 
-/// The shortest path between two places over the cells of a map, on which a ball of the robot's radius touches no occupied cell
-/// and, unless it may, no unknown one.
+/// The shortest path between two places over the cells of a map, on which a ball of the robot's
+/// radius touches no occupied cell and, unless it may, no unknown one.
 ///
 /// # Errors
 /// [`PlanError`]: why there is none.
