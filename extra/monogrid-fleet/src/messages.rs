@@ -2,8 +2,8 @@
 //!
 //! | key, behind `monogrid/fleet/1/` | who asks or publishes | what it is |
 //! |---|---|---|
-//! | `agents/NAME/RUN/packets/N` | agent asks the server, with a packet | takes the packet; the answer is [`Missing`] |
-//! | `agents/NAME/RUN/packets/N` | anyone asks the server, without | the bytes of the packet, if the server has it |
+//! | `agents/NAME/RUN/packets/N` | agent asks, with a packet | the server takes it; the answer is [`Missing`] |
+//! | `agents/NAME/RUN/packets/N` | anyone asks, without | the packet, if the server has it |
 //! | `agents/NAME/RUN/missing` | agent asks the server | [`Missing`] |
 //! | `agents/NAME/RUN/pose` | agent publishes | [`AgentPose`] |
 //! | `fleet` | anyone asks the server, which also publishes it | [`Fleet`] |
@@ -79,8 +79,9 @@ impl FromStr for RunKey {
     }
 }
 
-/// The number that tells a run from others of the same agent: checksums of what holds for all of it, and of its first keyframe. The same
-/// recording gives the same number, so that it can be delivered by any process.
+/// The number that tells a run from others of the same agent: checksums of what holds for all of
+/// it, and of its first keyframe. The same recording gives the same number, so that it can be
+/// delivered by any process.
 #[must_use]
 pub fn run_number(session: &Record, first_keyframe: &Record) -> u64 {
     let crc = |record: &Record| crc32fast::hash(&record.encode().unwrap_or_default());
@@ -157,8 +158,8 @@ impl From<&Similarity> for Sim3 {
 pub struct Fleet {
     /// Counts upwards with every change of the transforms.
     pub version: u64,
-    /// The run in whose world all others are placed, `NAME/RUN`: the first one that delivered something, as
-    /// long as it is joined with others.
+    /// The run in whose world all others are placed, `NAME/RUN`: the first one that delivered
+    /// something, as long as it is joined with others.
     pub shared: Option<String>,
     /// All runs, in the order in which they came.
     pub agents: Vec<AgentState>,

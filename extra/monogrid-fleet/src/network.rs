@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 pub const LOOPBACK: &str = "tcp/127.0.0.1:7447";
 /// Bytes of a file of settings at most.
 const MAX_FILE_BYTES: u64 = 1 << 20;
-/// Bytes of a message at most: a packet, which is refused in words where it is somewhat too large, and what Zenoh puts around it. Parts of what is
-/// larger are dropped as they come.
+/// Bytes of a message at most: a packet, which is refused in words where it is somewhat too large,
+/// and what Zenoh puts around it. Parts of what is larger are dropped as they come.
 const MAX_MESSAGE_BYTES: usize = 2 * crate::packet::MAX_PACKET_BYTES;
 /// Connections at most: each is a file handle, and can hold a message in parts.
 const MAX_CONNECTIONS: u64 = 128;
@@ -122,7 +122,8 @@ fn read_text(path: &Path) -> std::io::Result<String> {
     Ok(text)
 }
 
-/// Settings of an agent: those of `file`, and `connect`, endpoints of a server, where there are any.
+/// Settings of an agent: those of `file`, and `connect`, endpoints of a server, where there are
+/// any.
 ///
 /// # Errors
 /// When the file holds no settings, or nobody names a server.
@@ -139,7 +140,8 @@ pub fn of_agent(connect: &[String], file: Option<&Path>) -> Result<zenoh::Config
     Ok(settings.config)
 }
 
-/// Settings of a server: those of `file`, and `listen`, endpoints, where there are any; without both it listens at [`LOOPBACK`].
+/// Settings of a server: those of `file`, and `listen`, endpoints, where there are any; without
+/// both it listens at [`LOOPBACK`].
 ///
 /// # Errors
 /// When the file holds no settings.
@@ -173,7 +175,8 @@ pub fn of_server(listen: &[String], file: Option<&Path>) -> Result<zenoh::Config
     Ok(settings.config)
 }
 
-/// Connections that a server takes: half of the file handles that this process may have, as others need some.
+/// Connections that a server takes: half of the file handles that this process may have, as others
+/// need some.
 #[must_use]
 pub fn connections() -> u64 {
     #[cfg(unix)]
@@ -183,12 +186,14 @@ pub fn connections() -> u64 {
     handles.map_or(MAX_CONNECTIONS, |handles| MAX_CONNECTIONS.min(handles / 2))
 }
 
-/// What others may do: ask the server, publish poses, and listen. Nobody but the server publishes the state of the fleet or answers questions.
+/// What others may do: ask the server, publish poses, and listen. Nobody but the server publishes
+/// the state of the fleet or answers questions.
 fn rights() -> Value {
     let (all, poses) = (format!("{PREFIX}/**"), format!("{PREFIX}/agents/*/*/pose"));
     let rule = |id: &str, messages: &[&str], flow: &str, key: &str| {
         json!({
-            "id": id, "messages": messages, "flows": [flow], "permission": "allow", "key_exprs": [key],
+            "id": id, "messages": messages, "flows": [flow], "permission": "allow",
+            "key_exprs": [key],
         })
     };
     let rules = [
@@ -251,7 +256,8 @@ mod tests {
         let largest = get(&ours, "transport/link/rx/max_message_size");
         assert_eq!(largest, json!(MAX_MESSAGE_BYTES));
         let named = file(
-            "// users\n{ access_control: { enabled: false }, scouting: { multicast: { enabled: true } },
+            "// users\n{ access_control: { enabled: false },
+               scouting: { multicast: { enabled: true } },
                transport: { auth: { usrpwd: { dictionary_file: '/x' } } } }",
         );
         let config = of_server(&[], Some(named.path())).unwrap();

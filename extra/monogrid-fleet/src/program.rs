@@ -19,7 +19,8 @@ use std::time::Duration;
 #[derive(Debug, Parser)]
 #[command(name = "monogrid-fleet", version, max_term_width = 110)]
 pub enum Cli {
-    /// Run `monogrid run` on a source and deliver its keyframes to a server, as far as there is a way to it
+    /// Run `monogrid run` on a source and deliver its keyframes to a server, as far as there is a
+    /// way to it
     Agent(AgentArgs),
     /// Take what agents deliver, join their maps, and say where their worlds lie in the shared one
     Server(ServerArgs),
@@ -61,9 +62,13 @@ pub struct AgentArgs {
     #[arg(long, value_name = "KB", default_value_t = 180.0, value_parser = rate)]
     pub max_rate: f64,
     /// Quality of the JPEG images of keyframes, 1 to 100
-    #[arg(long, value_name = "Q", default_value_t = 75, value_parser = clap::value_parser!(u8).range(1..=100))]
+    #[arg(
+        long, value_name = "Q", default_value_t = 75,
+        value_parser = clap::value_parser!(u8).range(1..=100)
+    )]
     pub jpeg_quality: u8,
-    /// Seconds for which the server is still tried when the run has ended; --follow delivers the rest later
+    /// Seconds for which the server is still tried when the run has ended; --follow delivers the
+    /// rest later
     #[arg(long, value_name = "SECONDS", default_value_t = 600)]
     pub give_up_after: u64,
     /// Further options of `monogrid run`, behind --
@@ -81,15 +86,26 @@ pub struct ServerArgs {
     #[arg(long, value_name = "FILE")]
     pub zenoh_config: Option<PathBuf>,
     /// Runs of all agents at most; of one agent a quarter
-    #[arg(long, value_name = "N", default_value_t = Limits::default().runs, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(
+        long, value_name = "N", default_value_t = Limits::default().runs,
+        value_parser = clap::value_parser!(u64).range(1..)
+    )]
     pub max_runs: u64,
     /// Keyframes of all agents at most; of one agent a quarter
-    #[arg(long, value_name = "N", default_value_t = Limits::default().keyframes, value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
+    #[arg(
+        long, value_name = "N", default_value_t = Limits::default().keyframes,
+        value_parser = clap::value_parser!(u64).range(1..=100_000_000)
+    )]
     pub max_keyframes: u64,
-    /// Gigabytes (1000^3) on the disk that agents may fill, without the joined map; one agent a quarter
-    #[arg(long, value_name = "GB", default_value_t = Limits::default().disk_bytes as f64 / 1e9, value_parser = rate)]
+    /// Gigabytes (1000^3) on the disk that agents may fill, without the joined map; one agent a
+    /// quarter
+    #[arg(
+        long, value_name = "GB", default_value_t = Limits::default().disk_bytes as f64 / 1e9,
+        value_parser = rate
+    )]
     pub max_disk: f64,
-    /// Folder for what agents deliver (agents) and the joined map (map); that of an earlier server is taken up again
+    /// Folder for what agents deliver (agents) and the joined map (map); that of an earlier server
+    /// is taken up again
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Seconds between the end of a joining and the next one at least
@@ -99,7 +115,10 @@ pub struct ServerArgs {
     #[arg(long, value_name = "SECONDS", default_value_t = 1800)]
     pub join_within: u64,
     /// So many new keyframes are worth a joining
-    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(
+        long, value_name = "N", default_value_t = 5,
+        value_parser = clap::value_parser!(u64).range(1..)
+    )]
     pub min_new_keyframes: u64,
     /// End when so many runs have ended and all of them is here [default: when interrupted]
     #[arg(long, value_name = "N")]
@@ -115,8 +134,8 @@ fn rate(text: &str) -> Result<f64, String> {
     rate.ok_or_else(|| "expected a positive number".to_owned())
 }
 
-/// Does what a command line asks for, the name of the program first; the exit code: that of the run for an agent, 1 where not everything could
-/// be delivered.
+/// Does what a command line asks for, the name of the program first; the exit code: that of the run
+/// for an agent, 1 where not everything could be delivered.
 pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let cli = match Cli::try_parse_from(arguments) {
         Ok(cli) => cli,
@@ -247,8 +266,8 @@ fn summary(delivered: &Delivered) -> String {
     } = *delivered;
     let per_second = |seconds: f64| bytes as f64 / 1e3 / seconds.max(1e-9);
     format!(
-        "{taken} of {packets} packets delivered, {bytes} bytes: {:.0} kB/s over the {recorded_s:.1} s of the recording, {:.0} kB/s over \
-         the {sending_s:.1} s of sending",
+        "{taken} of {packets} packets delivered, {bytes} bytes: {:.0} kB/s over the \
+         {recorded_s:.1} s of the recording, {:.0} kB/s over the {sending_s:.1} s of sending",
         per_second(recorded_s),
         per_second(sending_s),
     )

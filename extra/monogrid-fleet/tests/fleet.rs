@@ -113,11 +113,13 @@ fn copied_slowly(from: &Path, to: &Path) {
     }
 }
 
-/// Two runs, a and b, of which the second half of one sees what the first half of the other does, and both merged.
+/// Two runs, a and b, of which the second half of one sees what the first half of the other does,
+/// and both merged.
 fn two_runs(folder: &Path) {
     let at = |name: &str| folder.join(name);
     monogrid(
-        "synth office --frames 500 --max-frames 130 --depth-every 0 --truth-resolution 0.4 --quick-light --size 320x240 --out east",
+        "synth office --frames 500 --max-frames 130 --depth-every 0 --truth-resolution 0.4 \
+         --quick-light --size 320x240 --out east",
         folder,
     );
     fs::create_dir(at("west")).unwrap();
@@ -174,7 +176,8 @@ fn an_agent_without_server_goes_on_and_catches_up_and_lies_where_merge_runs_has_
         assert!(waited == all && all > keyframes.keyframes.len());
         assert_eq!(delivered.taken, delivered.packets);
     }
-    // nobody can join a recording with itself: who delivers that of another agent keeps nobody from being joined
+    // nobody can join a recording with itself: who delivers that of another agent keeps nobody from
+    // being joined
     let again = Arc::new(AtomicBool::new(true));
     let c = agent("c", &server, at("a/recording.mgk"), again);
     c.join().unwrap();

@@ -160,7 +160,8 @@ fn bytes_below(folder: &Path) -> u64 {
         .sum()
 }
 
-/// Packets that an agent with three keyframes of 80x60 px can send to do harm, and what the refusal says.
+/// Packets that an agent with three keyframes of 80x60 px can send to do harm, and what the refusal
+/// says.
 #[allow(clippy::too_many_lines, reason = "a list")]
 fn attacks() -> Vec<(Vec<u8>, &'static str)> {
     let bytes = |packet: Packet| packet.encode().unwrap();
@@ -409,7 +410,8 @@ fn a_run_that_cannot_be_joined_is_set_apart_and_named() {
     config.until_ended = Some(4);
     let serving = Serving::start(config);
     let link = linked(&endpoint);
-    // the same recording of two agents is an error of merge-runs; and what came first is nothing at all
+    // the same recording of two agents is an error of merge-runs; and what came first is nothing at
+    // all
     Sender::new(&link, "empty", 9).record(&session()).unwrap();
     for (name, seed) in [("a", 1), ("b", 2), ("copy", 1), ("c", 3)] {
         deliver(&link, name, seed);
@@ -556,7 +558,8 @@ fn a_file_of_zenohs_settings_lets_in_only_who_knows_the_password() {
     let users = at("users.txt", "drone:secret\n");
     let users = users.display();
     let server = format!(
-        "// who may come\n{{ transport: {{ auth: {{ usrpwd: {{ user: 'server', password: 'x', dictionary_file: '{users}' }} }} }} }}"
+        "// who may come\n{{ transport: {{ auth: {{ usrpwd: {{ user: 'server', password: 'x', \
+         dictionary_file: '{users}' }} }} }} }}"
     );
     let known = "{ transport: { auth: { usrpwd: { user: 'drone', password: 'secret' } } } }";
     let endpoint = endpoint();

@@ -1,4 +1,5 @@
-//! Packets: what comes out is what went in, as far as is promised; what is damaged or of another version is refused.
+//! Packets: what comes out is what went in, as far as is promised; what is damaged or of another
+//! version is refused.
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use monogrid_datasets::{

@@ -37,7 +37,8 @@ pub struct Link {
 }
 
 impl Link {
-    /// Connects to the server at these endpoints (`tcp/HOST:PORT`), or those of a file of Zenoh's settings.
+    /// Connects to the server at these endpoints (`tcp/HOST:PORT`), or those of a file of Zenoh's
+    /// settings.
     ///
     /// # Errors
     /// [`LinkError::Lost`].

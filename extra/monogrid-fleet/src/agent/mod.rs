@@ -133,8 +133,8 @@ impl Agent {
         })
     }
 
-    /// Works until the run is over and everything is delivered, or the server was not there for too long after it. `is_over` says whether
-    /// the run has ended, `say` hears what is new, in words.
+    /// Works until the run is over and everything is delivered, or the server was not there for too
+    /// long after it. `is_over` says whether the run has ended, `say` hears what is new, in words.
     ///
     /// # Errors
     /// When the recording cannot be read or packed. A link that is lost is no error.
@@ -289,7 +289,8 @@ impl Agent {
     }
 }
 
-/// Lets no more bytes through than a rate allows: after so many bytes it is closed for as long as they take at that rate.
+/// Lets no more bytes through than a rate allows: after so many bytes it is closed for as long as
+/// they take at that rate.
 #[derive(Debug, Default)]
 struct Pace {
     bytes_per_s: f64,

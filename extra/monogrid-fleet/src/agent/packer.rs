@@ -7,10 +7,11 @@ use monogrid_datasets::{DepthPixel, DepthRevision, PoseSnapshot, Record};
 use monogrid_geometry::{Sim3, rotation_log};
 use std::collections::BTreeMap;
 
-/// New depth of a keyframe is delivered when at least this share of its pixels is new or more than a sigma from what was delivered.
+/// New depth of a keyframe is delivered when at least this share of its pixels is new or more than
+/// a sigma from what was delivered.
 const MIN_CHANGED_PIXELS: f64 = 0.25;
-/// A new pose is delivered when it differs from the one that was by at least this: rad, units of the keyframe, or share of its unit. At the
-/// end of a run all poses are delivered exactly.
+/// A new pose is delivered when it differs from the one that was by at least this: rad, units of
+/// the keyframe, or share of its unit. At the end of a run all poses are delivered exactly.
 const MIN_MOVED: f64 = 1e-3;
 
 /// A pose that is new.
@@ -159,7 +160,8 @@ fn append_parts(record: &Record, log: &mut PacketLog) -> Result<(), AgentError> 
     Ok(())
 }
 
-/// How far a pose is from another one: the largest of angle (rad), way (units of the keyframe) and change of the unit (share).
+/// How far a pose is from another one: the largest of angle (rad), way (units of the keyframe) and
+/// change of the unit (share).
 fn distance(a: &Sim3, b: &Sim3) -> f64 {
     let a_from_b = a.inverse() * *b;
     let angle = rotation_log(&a_from_b.rotation).norm();
@@ -167,7 +169,8 @@ fn distance(a: &Sim3, b: &Sim3) -> f64 {
     angle.max(way).max(a_from_b.scale.ln().abs())
 }
 
-/// Share of the pixels after a change, and of those that are gone, that are new, gone or differ by more than a sigma. Both are row by row.
+/// Share of the pixels after a change, and of those that are gone, that are new, gone or differ by
+/// more than a sigma. Both are row by row.
 fn changed_share(before: &[DepthPixel], after: &[DepthPixel]) -> f64 {
     let at = |pixel: &DepthPixel| (pixel.y, pixel.x);
     let known: BTreeMap<(u16, u16), &DepthPixel> = before.iter().map(|p| (at(p), p)).collect();

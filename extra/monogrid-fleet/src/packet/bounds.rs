@@ -1,5 +1,5 @@
-//! What a packet may hold. Whoever can reach the server can send it anything: memory is taken only for what is within these bounds, and
-//! only numbers that a run can have come any further.
+//! What a packet may hold. Whoever can reach the server can send it anything: memory is taken only
+//! for what is within these bounds, and only numbers that a run can have come any further.
 
 use super::PacketError;
 use monogrid_datasets::{Continuation, PoseSnapshot, Record, RecordedCamera, SessionInfo};
@@ -9,13 +9,15 @@ use monogrid_geometry::{Camera, Distortion, Sim3};
 pub const MAX_PACKET_BYTES: usize = 8 << 20;
 /// Longest side of an image, px: recordings have none that is longer.
 pub const MAX_SIDE: u16 = 8192;
-/// Pixels of an image at most: 3840 x 2160. Unpacked, with depth in all of them, they take some 300 MB.
+/// Pixels of an image at most: 3840 x 2160. Unpacked, with depth in all of them, they take some 300
+/// MB.
 pub const MAX_PIXELS: usize = 1 << 23;
 /// Bytes of a record at most: the points and edges of some 5000 keyframes.
 pub const MAX_RECORD_BYTES: usize = 512 << 20;
 /// Bytes of a record that belong to no keyframe: the settings of a run and its summary.
 const MAX_BYTES_OF_NO_KEYFRAME: u64 = 1 << 20;
-/// Bytes of a record for each keyframe that has come: ten times what points, edges and frames of one take.
+/// Bytes of a record for each keyframe that has come: ten times what points, edges and frames of
+/// one take.
 const MAX_BYTES_PER_KEYFRAME: u64 = 512 << 10;
 /// Sessions of a recording that can have no keyframe.
 const MAX_EMPTY_SESSIONS: usize = 1000;
@@ -91,7 +93,8 @@ pub(super) fn record_limit(num_keyframes: u64) -> u64 {
     limit.min(MAX_RECORD_BYTES as u64)
 }
 
-/// Refuses a record with numbers that no run has; `is_known` says whether a keyframe has come, `num_keyframes` how many have.
+/// Refuses a record with numbers that no run has; `is_known` says whether a keyframe has come,
+/// `num_keyframes` how many have.
 pub(crate) fn check_record(
     record: &Record,
     num_keyframes: usize,
@@ -121,7 +124,8 @@ fn check_poses(poses: &PoseSnapshot, is_known: impl Fn(u32) -> bool) -> Result<(
     Ok(())
 }
 
-/// Refuses a pose that is not finite, far from everything, or of a unit that no keyframe has. Readers have made its quaternion a rotation.
+/// Refuses a pose that is not finite, far from everything, or of a unit that no keyframe has.
+/// Readers have made its quaternion a rotation.
 fn check_pose(what: &'static str, pose: &Sim3) -> Result<(), PacketError> {
     let is_sane = pose.is_finite()
         && pose.translation.amax() <= MAX_COORDINATE

@@ -1,5 +1,6 @@
-//! Semi-dense depth in few bytes: which pixels have any, then logarithms of inverse depth and of its relative sigma in steps, each as
-//! its difference from what its neighbours let expect, deflated.
+//! Semi-dense depth in few bytes: which pixels have any, then logarithms of inverse depth and of
+//! its relative sigma in steps, each as its difference from what its neighbours let expect,
+//! deflated.
 
 use super::PacketError;
 use super::bounds::check_size;
@@ -10,7 +11,8 @@ use monogrid_datasets::DepthPixel;
 use serde::{Deserialize, Serialize};
 use std::io::{Read, Write};
 
-/// Step of the logarithm of inverse depth: its error has a sigma of 0.23 % of the depth, a tenth of that of the depth itself (median 2.3 %).
+/// Step of the logarithm of inverse depth: its error has a sigma of 0.23 % of the depth, a tenth of
+/// that of the depth itself (median 2.3 %).
 pub const IDEPTH_STEP: f64 = 1.0 / 128.0;
 /// Steps of the relative sigma per factor of two: it is known to 19 %.
 pub const SIGMA_STEPS_PER_OCTAVE: f64 = 2.0;
@@ -22,15 +24,17 @@ const MAX_NUMBER_BYTES: usize = 5;
 pub struct PackedDepth {
     /// One bit for each pixel, row by row, the highest bit of a byte first; deflated.
     mask: Vec<u8>,
-    /// `ln(inverse depth) / IDEPTH_STEP` of the pixels of the mask as differences, deflated. Small ones take few bytes, as postcard has them: 2 n, or
-    /// -2 n - 1 of negative ones, seven bits per byte, the lowest first; the highest bit of a byte says that another one follows.
+    /// `ln(inverse depth) / IDEPTH_STEP` of the pixels of the mask as differences, deflated. Small
+    /// ones take few bytes, as postcard has them: 2 n, or -2 n - 1 of negative ones, seven bits per
+    /// byte, the lowest first; the highest bit of a byte says that another one follows.
     idepth: Vec<u8>,
     /// The same of `SIGMA_STEPS_PER_OCTAVE * log2(sigma / inverse depth)`.
     sigma: Vec<u8>,
 }
 
 impl PackedDepth {
-    /// Packs the depth of an image of this width and height, px. Pixels outside it, without a value, or named twice, are left out.
+    /// Packs the depth of an image of this width and height, px. Pixels outside it, without a
+    /// value, or named twice, are left out.
     #[must_use]
     pub fn pack(pixels: &[DepthPixel], size: (u16, u16)) -> Self {
         let (width, height) = (usize::from(size.0), usize::from(size.1));
@@ -157,7 +161,8 @@ impl<'a> Neighbours<'a> {
         }
     }
 
-    /// Left plus up minus what lies between, as far as that lies between left and up; else the one that is there, else the last one.
+    /// Left plus up minus what lies between, as far as that lies between left and up; else the one
+    /// that is there, else the last one.
     fn expected(&self) -> i32 {
         let has_left = !self.at.is_multiple_of(self.width);
         let level = |back: usize, is_there: bool| {

@@ -16,7 +16,8 @@ pub struct PackedKeyframe {
     pub frame_index: u64,
     /// Time, nanoseconds.
     pub timestamp_ns: i64,
-    /// Its camera, where it is not that of the session: fx, fy, cx, cy in px; the centre of the top-left pixel is (0, 0).
+    /// Its camera, where it is not that of the session: fx, fy, cx, cy in px; the centre of the
+    /// top-left pixel is (0, 0).
     pub camera: Option<[f64; 4]>,
     /// Width and height of the image, px.
     pub size: (u16, u16),
@@ -30,7 +31,8 @@ impl PackedKeyframe {
     /// A keyframe with its image as JPEG of this quality (1 to 100).
     ///
     /// # Errors
-    /// [`PacketError::NoImage`]; [`PacketError::TooLarge`] and [`PacketError::Beyond`] for an image that no server takes.
+    /// [`PacketError::NoImage`]; [`PacketError::TooLarge`] and [`PacketError::Beyond`] for an image
+    /// that no server takes.
     pub fn pack(record: &KeyframeRecord, jpeg_quality: u8) -> Result<Self, PacketError> {
         let image = record.image.as_ref();
         let image = image.ok_or(PacketError::NoImage(record.id))?;
@@ -90,8 +92,9 @@ impl PackedKeyframe {
     }
 }
 
-/// Width and height, px, of a JPEG file with one component and one scan, Huffman-coded: of others a few bytes can hold scans of the whole image by the
-/// thousand, each of which takes time. `None` for them, and for what is no JPEG file.
+/// Width and height, px, of a JPEG file with one component and one scan, Huffman-coded: of others a
+/// few bytes can hold scans of the whole image by the thousand, each of which takes time. `None`
+/// for them, and for what is no JPEG file.
 fn simple_jpeg_size(bytes: &[u8]) -> Option<(u16, u16)> {
     let word = |at: usize| Some(u16::from_be_bytes([*bytes.get(at)?, *bytes.get(at + 1)?]));
     (word(0)? == 0xffd8).then_some(())?;

@@ -1,4 +1,5 @@
-//! What an agent delivers: self-contained, checksummed, versioned packets. `README.md` describes the bytes.
+//! What an agent delivers: self-contained, checksummed, versioned packets. `README.md` describes
+//! the bytes.
 
 mod bounds;
 mod depth;
@@ -20,8 +21,8 @@ const MAGIC: [u8; 4] = *b"MGFP";
 pub const VERSION: u32 = 1;
 /// Bytes of the header: magic, version, bytes of the payload, CRC-32 of version, bytes and payload.
 pub const HEADER_BYTES: usize = 16;
-/// Pixels of an image per byte of its packet at most: a deflate stream can be made to hold far more, and a small packet would fill the
-/// memory.
+/// Pixels of an image per byte of its packet at most: a deflate stream can be made to hold far
+/// more, and a small packet would fill the memory.
 const MAX_PIXELS_PER_BYTE: usize = 64;
 
 /// One packet.
@@ -120,7 +121,8 @@ impl Packet {
     /// The packet that these bytes are.
     ///
     /// # Errors
-    /// All but [`PacketError::NoImage`] and [`PacketError::TooLarge`]. What a keyframe holds is looked at by [`PackedKeyframe::unpack`].
+    /// All but [`PacketError::NoImage`] and [`PacketError::TooLarge`]. What a keyframe holds is
+    /// looked at by [`PackedKeyframe::unpack`].
     pub fn decode(bytes: &[u8]) -> Result<Self, PacketError> {
         bounds::at_most("a packet", bytes.len() as u64, MAX_PACKET_BYTES as u64)?;
         let payload = payload(bytes)?;

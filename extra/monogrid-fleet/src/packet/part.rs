@@ -10,8 +10,8 @@ use std::io::Read;
 
 /// Bytes of a part at most: a slow link carries it in less than a second.
 pub const PART_BYTES: usize = 64 << 10;
-/// Bytes that a deflated byte becomes at most in records of more than [`SMALL_BYTES`]: numbers of points and edges take a third of theirs. A
-/// deflate stream can be made to hold a thousand.
+/// Bytes that a deflated byte becomes at most in records of more than [`SMALL_BYTES`]: numbers of
+/// points and edges take a third of theirs. A deflate stream can be made to hold a thousand.
 const MAX_GROWTH: u64 = 64;
 /// Bytes of a record that are too few for harm.
 const SMALL_BYTES: u64 = 1 << 20;
@@ -50,7 +50,8 @@ pub fn parts_of(record: &Record) -> Result<Vec<Packet>, PacketError> {
     Ok(parts.map(part).collect())
 }
 
-/// How far a record has come: the parts themselves lie where packets are kept, so that a record that is never finished takes no memory.
+/// How far a record has come: the parts themselves lie where packets are kept, so that a record
+/// that is never finished takes no memory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Unfinished {
     /// Parts that have come.
@@ -64,11 +65,13 @@ pub struct Unfinished {
 }
 
 impl Unfinished {
-    /// How far the record is after a part, of a run of which so many keyframes have come. The first part already says how much the record will be.
-    /// It begins a new record; what was unfinished is given up.
+    /// How far the record is after a part, of a run of which so many keyframes have come. The first
+    /// part already says how much the record will be. It begins a new record; what was unfinished
+    /// is given up.
     ///
     /// # Errors
-    /// [`PacketError::Content`] where parts do not follow each other, [`PacketError::Beyond`] for records that are too large.
+    /// [`PacketError::Content`] where parts do not follow each other, [`PacketError::Beyond`] for
+    /// records that are too large.
     pub fn after(&self, part: &RecordPart, num_keyframes: u64) -> Result<Self, PacketError> {
         at_most("a part", part.bytes.len() as u64, PART_BYTES as u64)?;
         let before = match part.index {

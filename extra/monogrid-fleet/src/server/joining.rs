@@ -76,7 +76,8 @@ impl Joining {
         })
     }
 
-    /// Begins to try whether recordings can be joined, beside two small ones that can: so that it is known of one alone, and of none.
+    /// Begins to try whether recordings can be joined, beside two small ones that can: so that it
+    /// is known of one alone, and of none.
     ///
     /// # Errors
     /// When files cannot be written, or the process not be started.
@@ -180,7 +181,8 @@ fn last_line(log: &Path) -> String {
     line.unwrap_or("it said nothing").escape_debug().to_string()
 }
 
-/// Looks for the run that keeps others from being joined: the last one of the fewest, in the order in which they came, that cannot be joined.
+/// Looks for the run that keeps others from being joined: the last one of the fewest, in the order
+/// in which they came, that cannot be joined.
 #[derive(Clone, Debug)]
 pub struct Search {
     /// The runs.
@@ -253,7 +255,8 @@ impl Search {
 mod tests {
     use super::*;
 
-    /// How a search ends where runs with these numbers cannot be joined with those before them; and its trials.
+    /// How a search ends where runs with these numbers cannot be joined with those before them; and
+    /// its trials.
     fn search(count: usize, is_bad: impl Fn(usize) -> bool) -> (Next, usize) {
         let runs = (0..count).map(|k| RunKey::new("a", k as u64).unwrap());
         let mut search = Search::new(runs.collect(), Vec::new());

@@ -3,7 +3,8 @@
 use std::iter::Sum;
 use std::ops::Add;
 
-/// What a server keeps at most, of all agents. One agent may take a quarter of each, so that it leaves room for others.
+/// What a server keeps at most, of all agents. One agent may take a quarter of each, so that it
+/// leaves room for others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Runs: each has a folder, and is read by every joining.
@@ -15,7 +16,8 @@ pub struct Limits {
 }
 
 impl Default for Limits {
-    /// 256 runs, 100,000 keyframes (a day of one camera) and 64 GB, which so many small keyframes take.
+    /// 256 runs, 100,000 keyframes (a day of one camera) and 64 GB, which so many small keyframes
+    /// take.
     fn default() -> Self {
         Self {
             runs: 256,
@@ -27,7 +29,8 @@ impl Default for Limits {
 
 /// Bytes that stay free on the disk, for the joined map and for everybody else.
 pub const KEPT_FREE_BYTES: u64 = 1_000_000_000;
-/// Packets per keyframe: it, its poses, new depth, and its share of points and edges are some six. Where each of them begins is kept in memory.
+/// Packets per keyframe: it, its poses, new depth, and its share of points and edges are some six.
+/// Where each of them begins is kept in memory.
 const PACKETS_PER_KEYFRAME: u64 = 16;
 /// The share that one agent may take is one of so many.
 const SHARES: u64 = 4;
@@ -48,7 +51,8 @@ pub struct Usage {
 /// A limit that would be passed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{who} would have {found} {what}, expected at most {limit}: end here, or start the server with a larger {option}"
+    "{who} would have {found} {what}, expected at most {limit}: end here, or start the server with \
+     a larger {option}"
 )]
 pub struct OverLimit {
     who: String,

@@ -1,4 +1,5 @@
-//! The server: takes packets, joins the maps of all agents now and then, says where their worlds lie in the shared one.
+//! The server: takes packets, joins the maps of all agents now and then, says where their worlds
+//! lie in the shared one.
 
 mod companion;
 mod joining;
@@ -26,15 +27,18 @@ use zenoh::{Session, Wait};
 /// Time for which the server waits for a question before it looks at the rest of its work.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
-/// Questions that wait for their answer at most: each can hold a packet. Connections wait where there are more.
+/// Questions that wait for their answer at most: each can hold a packet. Connections wait where
+/// there are more.
 const WAITING_QUESTIONS: usize = 8;
-/// Refusals and failures that are said in a minute; the rest is counted. An attack does not fill a disk with what the server says of it.
+/// Refusals and failures that are said in a minute; the rest is counted. An attack does not fill a
+/// disk with what the server says of it.
 const SAID_PER_MINUTE: u32 = 60;
 
 /// What a server is told.
 #[derive(Clone, Debug)]
 pub struct ServerConfig {
-    /// Endpoints at which it listens, `tcp/ADDRESS:PORT`; without any those of the file of settings, or [`network::LOOPBACK`].
+    /// Endpoints at which it listens, `tcp/ADDRESS:PORT`; without any those of the file of
+    /// settings, or [`network::LOOPBACK`].
     pub listen: Vec<String>,
     /// Settings of Zenoh, a JSON5 file.
     pub zenoh_config: Option<PathBuf>,
@@ -44,7 +48,8 @@ pub struct ServerConfig {
     pub out: PathBuf,
     /// When it joins.
     pub joining: JoiningConfig,
-    /// It ends when so many runs have ended and all their packets have come; otherwise when it is interrupted.
+    /// It ends when so many runs have ended and all their packets have come; otherwise when it is
+    /// interrupted.
     pub until_ended: Option<usize>,
 }
 
@@ -75,7 +80,8 @@ pub struct Server {
     questions: Queryable<FifoChannelHandler<Query>>,
     store: Store,
     joining: Option<Joining>,
-    /// Which run keeps others from being joined, where one does; with the size of the trial that goes on.
+    /// Which run keeps others from being joined, where one does; with the size of the trial that
+    /// goes on.
     search: Option<(Search, usize)>,
     last_joined: Instant,
     /// Keyframes that the last joining knew.
@@ -88,7 +94,8 @@ pub struct Server {
 }
 
 impl Server {
-    /// Listens; what an earlier server left in the folder is taken up again. `say` hears what of it cannot be.
+    /// Listens; what an earlier server left in the folder is taken up again. `say` hears what of it
+    /// cannot be.
     ///
     /// # Errors
     /// When it cannot listen, or the folder cannot be read.
@@ -114,8 +121,9 @@ impl Server {
         })
     }
 
-    /// Works until all runs have ended that were to, or an interrupt; joins everything once more then, until the next one. `interrupts` says how many
-    /// there were, `say` hears what is new, in words. What goes wrong with one agent, or for a while, is said and does not end it.
+    /// Works until all runs have ended that were to, or an interrupt; joins everything once more
+    /// then, until the next one. `interrupts` says how many there were, `say` hears what is new, in
+    /// words. What goes wrong with one agent, or for a while, is said and does not end it.
     pub fn work(&mut self, interrupts: impl Fn() -> usize, say: &mut dyn FnMut(String)) -> Fleet {
         loop {
             self.look(say);
@@ -251,7 +259,8 @@ impl Server {
         Ok(json(&self.missing(run)))
     }
 
-    /// Begins to join all that can be. What keeps it from beginning may pass: it is tried again when it is due.
+    /// Begins to join all that can be. What keeps it from beginning may pass: it is tried again
+    /// when it is due.
     fn begin_joining(&mut self, say: &mut dyn FnMut(String)) {
         self.joined_keyframes = self.store.num_keyframes();
         self.last_joined = Instant::now();

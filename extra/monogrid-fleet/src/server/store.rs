@@ -142,7 +142,8 @@ const RUNS: &str = "runs.txt";
 const PACKETS: &str = "packets.mgf";
 
 impl Store {
-    /// Opens the folder of an earlier server, or makes one. `say` hears what of an earlier server cannot be gone on with.
+    /// Opens the folder of an earlier server, or makes one. `say` hears what of an earlier server
+    /// cannot be gone on with.
     pub fn open(
         folder: &Path,
         limits: Limits,
@@ -363,7 +364,8 @@ impl Store {
         self.runs.values().filter(|run| is_so(run)).count()
     }
 
-    /// Makes the recording of each run that can be joined ready for being read. A run whose recording cannot be written is left out.
+    /// Makes the recording of each run that can be joined ready for being read. A run whose
+    /// recording cannot be written is left out.
     pub fn joinable(&mut self) -> Joinable {
         let mut joinable = Joinable::default();
         for key in self.order.clone() {
@@ -458,8 +460,8 @@ impl StoredRun {
         });
     }
 
-    /// What a packet changes; nothing is changed yet. `parts` are the bytes of the parts of a record from the packet that is so many before this
-    /// one.
+    /// What a packet changes; nothing is changed yet. `parts` are the bytes of the parts of a
+    /// record from the packet that is so many before this one.
     fn step(
         &self,
         key: &RunKey,

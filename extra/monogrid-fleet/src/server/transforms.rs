@@ -15,9 +15,10 @@ pub type OwnPoses = BTreeMap<Frame, Sim3>;
 /// Where the worlds of runs lie in a map that holds together, or in the world of one of them.
 pub type Place = BTreeMap<RunKey, Sim3>;
 
-/// The run in whose world all others are placed: `current` as long as it is joined with another one, so that worlds do not change; else the first of
-/// those that are in the largest map, so that a run that is joined with nobody keeps nobody from having a place. `order` has the runs in the order in
-/// which they came, `joined` the largest map first.
+/// The run in whose world all others are placed: `current` as long as it is joined with another
+/// one, so that worlds do not change; else the first of those that are in the largest map, so that
+/// a run that is joined with nobody keeps nobody from having a place. `order` has the runs in the
+/// order in which they came, `joined` the largest map first.
 #[must_use]
 pub fn shared_run(current: Option<&RunKey>, order: &[&RunKey], joined: &[Place]) -> Option<RunKey> {
     let with_others = |run: &RunKey| joined.iter().any(|m| m.len() >= 2 && m.contains_key(run));
@@ -31,7 +32,8 @@ pub fn shared_run(current: Option<&RunKey>, order: &[&RunKey], joined: &[Place])
     run.or(current).or(order.first().copied()).cloned()
 }
 
-/// Where the worlds of all lie in the world of one of them: those that hold together with it in one of the joined maps.
+/// Where the worlds of all lie in the world of one of them: those that hold together with it in one
+/// of the joined maps.
 #[must_use]
 pub fn shared_from_agents(joined: &[Place], shared: &RunKey) -> Place {
     let Some(map) = joined.iter().find(|map| map.contains_key(shared)) else {
@@ -49,8 +51,9 @@ pub fn shared_from_agents(joined: &[Place], shared: &RunKey) -> Place {
     map.iter().map(in_shared).collect()
 }
 
-/// Reads where the runs lie in the result of `merge-runs` in a folder: in each map that holds together, the largest first. The recordings that
-/// were joined name their sources `NAME/RUN`; `own` has the poses with which they were joined.
+/// Reads where the runs lie in the result of `merge-runs` in a folder: in each map that holds
+/// together, the largest first. The recordings that were joined name their sources `NAME/RUN`;
+/// `own` has the poses with which they were joined.
 ///
 /// # Errors
 /// When a recording cannot be read.
@@ -95,8 +98,9 @@ fn merged_from_agents(merged: &Recording, own: &BTreeMap<RunKey, OwnPoses>) -> P
         .collect()
 }
 
-/// The `a_from_b` of keyframes whose poses are known in both worlds: means of the logarithms of scale and rotation, and of what is
-/// then left of the positions. Unlike a fit of positions it needs one keyframe only, and no way that is bent. `None` without keyframes.
+/// The `a_from_b` of keyframes whose poses are known in both worlds: means of the logarithms of
+/// scale and rotation, and of what is then left of the positions. Unlike a fit of positions it
+/// needs one keyframe only, and no way that is bent. `None` without keyframes.
 #[must_use]
 pub fn similarity_of(poses: &[(Sim3, Sim3)]) -> Option<Sim3> {
     let (first_a, first_b) = poses.first()?;
