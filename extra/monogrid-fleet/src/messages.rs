@@ -2,7 +2,7 @@
 //!
 //! | key, behind `monogrid/fleet/1/` | who asks or publishes | what it is |
 //! |---|---|---|
-//! | `agents/NAME/RUN/packets/N` | agent asks, with a packet | the server takes it; the answer is [`Missing`] |
+//! | `agents/NAME/RUN/packets/N` | agent asks, with a packet | taken; the answer is [`Missing`] |
 //! | `agents/NAME/RUN/packets/N` | anyone asks, without | the packet, if the server has it |
 //! | `agents/NAME/RUN/missing` | agent asks the server | [`Missing`] |
 //! | `agents/NAME/RUN/pose` | agent publishes | [`AgentPose`] |

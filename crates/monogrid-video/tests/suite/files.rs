@@ -2,8 +2,8 @@
 //!
 //! `tests/data` was made with ffmpeg 5.1 from its test pattern:
 //! `ffmpeg -f lavfi -i testsrc2=size=64x48:rate=30:duration=1 -c:v libx264 -bf 2 -g 12
-//! reordered.mp4`, copies of it with `-metadata:s:v:0 rotate=90` (upright.mp4) and `-ss 0.3` (cut.mp4), and the
-//! first 0.2 s in other codecs. Sums are those of
+//! reordered.mp4`, copies of it with `-metadata:s:v:0 rotate=90` (upright.mp4) and `-ss 0.3`
+//! (cut.mp4), and the first 0.2 s in other codecs. Sums are those of
 //! `ffmpeg -i FILE -vsync passthrough -vf format=yuv420p,extractplanes=y -f rawvideo -`.
 #![allow(clippy::unwrap_used, clippy::print_stderr, reason = "tests")]
 
