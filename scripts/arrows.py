@@ -21,7 +21,6 @@ KNOWN = {
     "monogrid-app": 10,
     "monogrid-bags": 8,
     "monogrid-cli": 12,
-    "monogrid-datasets": 15,
     "monogrid-depth": 3,
     "monogrid-evaluation": 3,
     "monogrid-features": 5,

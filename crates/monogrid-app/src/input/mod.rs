@@ -148,7 +148,7 @@ impl RawInput {
         let options = SourceOptions { fps: args.fps };
         let mut dataset = Dataset::open(source, options).bad_input()?;
         // those of the whole source: what a part of it shows is the same as in the whole
-        let levels = Levels::of_frames(&dataset.frames);
+        let levels = Levels::of_images(dataset.frames.iter().map(|frame| &*frame.path));
         dataset.warnings.extend(levels.note());
         Ok(Self {
             name: dataset.name.clone(),

@@ -1,6 +1,6 @@
 //! JPEG to luma or colour, refusing incomplete files.
 
-use super::decode::{MAX_SIDE, max_pixels_of};
+use super::accepted::{MAX_SIDE, max_pixels_of};
 use monogrid_image::luma_of_rgb;
 use zune_core::bytestream::ZCursor;
 use zune_core::colorspace::ColorSpace;

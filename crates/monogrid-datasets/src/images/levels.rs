@@ -6,7 +6,8 @@
 
 use super::decode::{Format, decode_raster, luma_of, read_image_file, sniff};
 use super::raster::{Raster, Samples};
-use crate::{DatasetError, FrameEntry};
+use crate::DatasetError;
+use std::path::Path;
 
 /// Images whose values are looked at: the first ones, since streams have no others yet.
 const NUM_IMAGES: usize = 8;
@@ -36,14 +37,12 @@ impl Levels {
     /// What the first images of a sequence use of 16 bits; all of it where they have other samples,
     /// or cannot be read.
     #[must_use]
-    pub fn of_frames(frames: &[FrameEntry]) -> Self {
+    pub fn of_images<'a>(paths: impl IntoIterator<Item = &'a Path>) -> Self {
         let mut counts = Vec::new();
-        for frame in frames.iter().take(NUM_IMAGES) {
-            let raster = read_image_file(&frame.path).and_then(|bytes| {
-                let is_jpeg = sniff(&bytes, &frame.path)? == Format::Jpeg;
-                (!is_jpeg)
-                    .then(|| decode_raster(&bytes, &frame.path))
-                    .transpose()
+        for path in paths.into_iter().take(NUM_IMAGES) {
+            let raster = read_image_file(path).and_then(|bytes| {
+                let is_jpeg = sniff(&bytes, path)? == Format::Jpeg;
+                (!is_jpeg).then(|| decode_raster(&bytes, path)).transpose()
             });
             match raster {
                 Ok(Some(raster)) if raster.has_all_words() => count(&raster, &mut counts),

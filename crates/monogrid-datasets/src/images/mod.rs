@@ -1,5 +1,6 @@
 //! Decoding and encoding of images, and depth images.
 
+mod accepted;
 mod budget;
 mod decode;
 mod depth;
@@ -11,8 +12,9 @@ mod others;
 mod raster;
 mod register;
 
+pub(crate) use accepted::IMAGE_ENDINGS;
 pub use budget::{PixelBudget, TooManyPixels};
-pub(crate) use decode::{IMAGE_ENDINGS, decode_png_luma8};
+pub(crate) use decode::decode_png_luma8;
 pub use decode::{
     decode_gray, decode_jpeg_luma, decode_jpeg_rgb, read_gray, read_gray_in, read_mask, read_rgb,
     read_rgb_in,

@@ -1,6 +1,6 @@
 //! TIFF and WebP.
 
-use super::decode::{MAX_DECODE_BYTES, MAX_SIDE};
+use super::accepted::{MAX_DECODE_BYTES, MAX_SIDE};
 use super::raster::{Raster, Samples, check_size};
 use image_webp::WebPDecoder;
 use std::io::Cursor;

@@ -1,6 +1,6 @@
 //! An image as a lossless file holds it: PNG, or PBM, PGM, PPM.
 
-use super::decode::{MAX_SIDE, max_pixels_of};
+use super::accepted::{MAX_SIDE, max_pixels_of};
 use std::io::Cursor;
 
 /// Samples of all pixels, row by row.

@@ -2,7 +2,8 @@
 
 use super::{Continuation, Damage, PoseSnapshot};
 use super::{
-    DepthPixel, EndRecord, KeyframeRecord, Record, RecordedCamera, RecordingReader, SessionInfo,
+    DepthPixel, EndRecord, KeyframeRecord, ReadOptions, Record, RecordedCamera, RecordingReader,
+    SessionInfo,
 };
 use crate::submap::{is_submap, is_submap_table, read_recording, read_single};
 use crate::{DatasetError, PixelBudget};
@@ -11,19 +12,6 @@ use monogrid_image::Image;
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
 use std::path::Path;
-
-/// What to read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ReadOptions {
-    /// Whether keyframe images are decoded (mapping does not need them).
-    pub with_images: bool,
-}
-
-impl Default for ReadOptions {
-    fn default() -> Self {
-        Self { with_images: true }
-    }
-}
 
 /// A keyframe with its newest depth and pose.
 #[derive(Clone, Debug, PartialEq)]

@@ -10,12 +10,12 @@ mod format;
 mod reader;
 mod writer;
 
-pub use assemble::{ReadOptions, RecordedKeyframe, Recording};
+pub use assemble::{RecordedKeyframe, Recording};
 pub use continuation::{
     Continuation, FragmentKeyframe, KeyframeLink, RecordedEdge, RecordedFrame, RecordedPoint,
     RecordedSession,
 };
-pub use reader::{Damage, RecordingReader};
+pub use reader::{Damage, ReadOptions, RecordingReader};
 pub use writer::RecordingWriter;
 
 pub(crate) use assemble::{Newest, spend};

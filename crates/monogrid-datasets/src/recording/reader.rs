@@ -1,15 +1,28 @@
 //! Reading the records of a recording, whole or damaged.
 
+use super::Record;
 use super::format::{
     FILE_HEADER_BYTES, FILE_MAGIC, FORMAT_VERSION, RECORD_HEADER_BYTES, SYNC, decode_record,
     parse_record_header,
 };
-use super::{ReadOptions, Record};
 use crate::DatasetError;
 use crate::files::open_file;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+
+/// What to read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ReadOptions {
+    /// Whether keyframe images are decoded (mapping does not need them).
+    pub with_images: bool,
+}
+
+impl Default for ReadOptions {
+    fn default() -> Self {
+        Self { with_images: true }
+    }
+}
 
 /// What was lost of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]

@@ -18,8 +18,8 @@ pub use directory::{SubmapBlock, SubmapInfo};
 pub use id::SubmapId;
 pub use load::{SUBMAP_FOLDER, is_submap, is_submap_table, submap_table_in};
 pub(crate) use load::{read_recording, read_single};
-pub use reader::SubmapReader;
-pub use table::{MovedKeyframe, SUBMAP_TABLE, SubmapEntry, SubmapPose, SubmapTable};
+pub use reader::{SubmapPose, SubmapReader};
+pub use table::{MovedKeyframe, SUBMAP_TABLE, SubmapEntry, SubmapTable};
 
 /// Name of the kind of file, for messages.
 const KIND: &str = "submap";

@@ -3,13 +3,17 @@
 use super::block::unpack;
 use super::directory::{self, END_MAGIC, FORMAT_VERSION, HEADER_BYTES, MAGIC, TRAILER_BYTES};
 use super::id::hash_of;
-use super::{KIND, SubmapBlock, SubmapId, SubmapInfo, SubmapPose};
+use super::{KIND, SubmapBlock, SubmapId, SubmapInfo};
 use crate::files::open_file;
 use crate::recording::{KIND_POSES, decode_record};
 use crate::{DatasetError, ReadOptions, Record};
+use monogrid_geometry::Sim3;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+
+/// A keyframe and where it lies in its submap; `None` where it does not lie in its frame.
+pub type SubmapPose = (u32, Option<Sim3>);
 
 /// A submap whose directory is known. Blocks are read when they are asked for, by their range of
 /// the file.

@@ -1,6 +1,6 @@
 //! Where submaps lie: `submaps.json`.
 
-use super::{SubmapId, SubmapReader};
+use super::{SubmapId, SubmapPose, SubmapReader};
 use crate::files::read_file;
 use crate::recording::{numbers_of_pose, pose_of_numbers};
 use crate::{DatasetError, PoseSnapshot};
@@ -18,9 +18,6 @@ const FORMAT: &str = "monogrid submaps";
 const VERSION: u32 = 1;
 /// Largest table that is read: some million keyframes.
 const MAX_TABLE_BYTES: u64 = 1 << 30;
-
-/// A keyframe and where it lies in its submap; `None` where it does not lie in its frame.
-pub type SubmapPose = (u32, Option<Sim3>);
 
 /// The submaps of a run, and where they are in the world as the graph has it.
 #[derive(Clone, Debug, Default, PartialEq)]

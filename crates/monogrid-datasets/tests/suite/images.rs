@@ -365,13 +365,17 @@ fn wide_frames(folder: &Path, frames: &[Image<u16>]) -> Vec<FrameEntry> {
     frames.iter().enumerate().map(write).collect()
 }
 
+fn levels_of(frames: &[FrameEntry]) -> Levels {
+    Levels::of_images(frames.iter().map(|frame| &*frame.path))
+}
+
 #[test]
 fn sixteen_bits_of_which_a_part_is_used_are_shown_alike_in_all_frames() {
     let folder = tempfile::tempdir().expect("folder");
     let ramp = |from: u16, step: u16| Image::from_fn(64, 50, |x, y| from + step * (x + y) as u16);
     // twelve bits, then the camera looks at something darker
     let frames = wide_frames(folder.path(), &[ramp(0, 36), ramp(0, 36), ramp(0, 3)]);
-    let levels = Levels::of_frames(&frames[..2]);
+    let levels = levels_of(&frames[..2]);
     assert_eq!((levels.black, levels.white), (0.0, 4095.0));
     assert!(levels.note().expect("said").contains("4095"));
     for (frame, step) in frames.iter().zip([36.0, 36.0, 3.0]) {
@@ -381,14 +385,14 @@ fn sixteen_bits_of_which_a_part_is_used_are_shown_alike_in_all_frames() {
     }
     // a thermal camera: nothing near black
     let frames = wide_frames(folder.path(), &[ramp(7000, 10)]);
-    let levels = Levels::of_frames(&frames);
+    let levels = levels_of(&frames);
     let image = read_gray_in(&frames[0].path, levels).expect("decodes");
     let (darkest, brightest) = (image.at(0, 0), image.at(63, 49));
     assert!(darkest > 10.0 && darkest < 40.0 && brightest > 210.0 && brightest < 245.0);
     // all of them, and eight bits
     let frames = wide_frames(folder.path(), &[ramp(0, 560)]);
-    assert_eq!(Levels::of_frames(&frames), Levels::ALL);
+    assert_eq!(levels_of(&frames), Levels::ALL);
     std::fs::write(&frames[0].path, encode_png(&gray(8, 6))).expect("writable");
-    assert_eq!(Levels::of_frames(&frames), Levels::ALL);
-    assert_eq!(Levels::of_frames(&frames).note(), None);
+    assert_eq!(levels_of(&frames), Levels::ALL);
+    assert_eq!(levels_of(&frames).note(), None);
 }
