@@ -2,11 +2,12 @@
 
 use crate::config::{DepthConfig, FrameChoice};
 use crate::epipolar::EpipolarLine;
-use crate::measure::MIN_LINE_GRADIENT;
+use crate::map::MAX_VAR;
 use crate::observe::{DepthBand, Pixel, Prepared, phase};
 use crate::stats::PixelOutcome;
-use crate::update::MAX_VAR;
 
+/// Smallest component of the gradient along the epipolar line, grey levels per px.
+pub(crate) const MIN_LINE_GRADIENT: f32 = 1.0;
 /// Smallest cosine of the angle between gradient and epipolar line.
 const MIN_LINE_COSINE: f32 = 0.15;
 /// Validity from which a pixel is observed only for gain; younger ones are confirmed with any

@@ -14,6 +14,9 @@ const MIN_NOISE_VAR: f32 = 1.0 / 6.0;
 /// Blocked pixels have at most this many in `failures`.
 pub(crate) const MAX_FAILURES: u8 = 100;
 
+/// Hypotheses with a larger variance are dropped, 1/u².
+pub(crate) const MAX_VAR: f32 = 0.25;
+
 /// Per-pixel state, all row-major. A pixel is known when `var > 0`.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Arrays {

@@ -1,14 +1,12 @@
 //! One stereo measurement: patch, match along the line, variance.
 
-use crate::choose::{Choice, FRAME_BORDER};
+use crate::choose::{Choice, FRAME_BORDER, MIN_LINE_GRADIENT};
 use crate::config::{DepthConfig, FrameChoice};
 use crate::line_match::{LineMatch, PATCH, Patch, Walk, refine, search};
 use crate::observe::{DepthBand, Pixel};
 use crate::stats::PixelOutcome;
 use crate::variance::match_variance;
 
-/// Smallest component of the gradient along the epipolar line, grey levels per px.
-pub(crate) const MIN_LINE_GRADIENT: f32 = 1.0;
 /// Share of the patch's own gradient that is added to the accepted difference.
 const RESIDUAL_GRADIENT_SHARE: f32 = 0.2;
 /// A match is ambiguous when a minimum elsewhere costs less than this multiple.

@@ -5,8 +5,8 @@
 
 use crate::HostFrame;
 use crate::config::DepthConfig;
+use crate::map::MAX_VAR;
 use crate::map::{BORDER, DepthMap, FoundDepth, Hypothesis};
-use crate::update::MAX_VAR;
 use monogrid_geometry::{Se3, Vec2, Vec3};
 use std::ops::Range;
 use std::sync::Arc;

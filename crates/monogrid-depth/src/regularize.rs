@@ -2,8 +2,8 @@
 
 use crate::DepthMap;
 use crate::config::DepthConfig;
+use crate::map::MAX_VAR;
 use crate::map::{Arrays, Candidates, FoundDepth, Hypothesis};
-use crate::update::MAX_VAR;
 use monogrid_image::for_lanes;
 use monogrid_image::lanes::{F32x8, LANES, Lanes};
 

@@ -1,15 +1,13 @@
 //! What an observation does to a pixel: create, fuse, confirm or doubt.
 
 use crate::config::{DepthConfig, FrameChoice};
-use crate::map::MAX_FAILURES;
+use crate::map::{MAX_FAILURES, MAX_VAR};
 use crate::measure::Observation;
 use crate::observe::{DepthBand, Pixel, Prepared};
 use crate::stats::{ObserveStats, PixelOutcome};
 
 /// Variance is multiplied by this at each failed match.
 const FAILURE_INFLATION: f32 = 1.1;
-/// Hypotheses with a larger variance are dropped, 1/u².
-pub(crate) const MAX_VAR: f32 = 0.25;
 /// Validity of a hypothesis created by a search.
 const VALIDITY_CREATED: u8 = 5;
 /// Validity gained by a successful observation.

@@ -1,6 +1,6 @@
 //! Lookup of the cells in view.
 
-use super::MapEvaluationError;
+use super::error::MapEvaluationError;
 use crate::truth::{CellCounts, TruthGrid, whole_ratio};
 use monogrid_occupancy::Occupancy;
 

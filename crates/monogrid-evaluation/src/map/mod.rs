@@ -7,6 +7,7 @@
 
 mod calibration;
 mod classify;
+mod error;
 mod geometry;
 mod in_view;
 mod nearest;
@@ -16,6 +17,7 @@ mod thickness;
 
 pub use calibration::{Calibration, ReliabilityBin};
 pub use classify::{Contingency, RocPoint};
+pub use error::MapEvaluationError;
 pub use geometry::SurfaceDistances;
 use geometry::TrueSurface;
 pub use report::{MapReport, Policies, PolicyReport};
@@ -54,39 +56,6 @@ impl Default for MapEvaluationConfig<'_> {
             max_distance_queries: 1_000_000,
         }
     }
-}
-
-/// Why maps cannot be compared.
-#[derive(Debug, thiserror::Error, Clone, PartialEq)]
-#[non_exhaustive]
-pub enum MapEvaluationError {
-    /// Cells of different size.
-    #[error(
-        "the estimated map has cells of {estimate}, the true one of {truth}; make the truth at the \
-         estimate's resolution"
-    )]
-    Resolution {
-        /// Edge of a cell of the estimate.
-        estimate: f64,
-        /// Edge of a cell of the truth.
-        truth: f64,
-    },
-    /// The view does not fit the truth.
-    #[error("cells in view have an edge of {view}, expected a multiple of the truth's {truth}")]
-    View {
-        /// Edge of a cell of the view.
-        view: f64,
-        /// Edge of a cell of the truth.
-        truth: f64,
-    },
-    /// The truth knows only free or only occupied cells.
-    #[error("the true map has {free} free and {occupied} occupied cells, expected some of both")]
-    OneClass {
-        /// Free cells.
-        free: u64,
-        /// Occupied cells.
-        occupied: u64,
-    },
 }
 
 /// What one pass over the estimate collects.

@@ -1,10 +1,27 @@
 //! Checks of a problem, and the orders in which the solver walks through it.
 
 use super::shares::Shares;
-use super::system::pattern;
 use super::{BundleConfig, BundleError, BundleProblem, Observation, PoseFreedom};
 use crate::blocks::BlockPattern;
 use std::ops::Range;
+
+/// The places of the blocks of the reduced system: of poses that share points, given as (point,
+/// slot) by point.
+fn pattern(entries: &[(u32, u32)], num_slots: usize) -> BlockPattern<6> {
+    let n = num_slots;
+    // what points make dependent, as a matrix of flags
+    let mut is_there = vec![false; n * n];
+    for fan in entries.chunk_by(|a, b| a.0 == b.0) {
+        for (i, (_, column)) in fan.iter().enumerate() {
+            for (_, row) in &fan[i + 1..] {
+                is_there[*column as usize * n + *row as usize] = true;
+            }
+        }
+    }
+    let there = (0..n * n).filter(|at| is_there[*at]);
+    let pairs: Vec<(usize, usize)> = there.map(|at| (at / n, at % n)).collect();
+    BlockPattern::new(n, &pairs)
+}
 
 fn index(
     what: impl Fn() -> String,

@@ -7,23 +7,6 @@ use monogrid_geometry::{Mat6, Vec6};
 use nalgebra::DVector;
 use rayon::prelude::*;
 
-/// The places of the system's blocks: of poses that share points, given as (point, slot) by point.
-pub(super) fn pattern(entries: &[(u32, u32)], num_slots: usize) -> BlockPattern<6> {
-    let n = num_slots;
-    // what points make dependent, as a matrix of flags
-    let mut is_there = vec![false; n * n];
-    for fan in entries.chunk_by(|a, b| a.0 == b.0) {
-        for (i, (_, column)) in fan.iter().enumerate() {
-            for (_, row) in &fan[i + 1..] {
-                is_there[*column as usize * n + *row as usize] = true;
-            }
-        }
-    }
-    let there = (0..n * n).filter(|at| is_there[*at]);
-    let pairs: Vec<(usize, usize)> = there.map(|at| (at / n, at % n)).collect();
-    BlockPattern::new(n, &pairs)
-}
-
 /// Removes the direction `u` (unit) of one pose: its step becomes zero. `S <- P S P + scale u u'`,
 /// with `P = I - u u'`.
 fn hold(pattern: &BlockPattern<6>, s: &mut BlockMatrix<6>, slot: usize, u: &Vec6) {
