@@ -1,7 +1,7 @@
 //! An inertial sensor that is read while the camera is: an image is tracked when the readings have
 //! come to its time, or the next image has.
 
-use crate::source::ReadFrame;
+use crate::read_frame::ReadFrame;
 use monogrid_slam::FrameReport;
 
 /// Time from the first keyframe that was finished until the readings are asked for metres and up,

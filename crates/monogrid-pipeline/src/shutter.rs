@@ -7,8 +7,8 @@
 //! that everything that comes after sees an ordinary camera whose pose is that of the middle row:
 //! the start too, when no pose is known that a model of the shutter could use.
 
-use crate::preparation::{Unusable, each_channel};
-use crate::source::ReadFrame;
+use crate::read_frame::ReadFrame;
+use crate::unusable::{Unusable, each_channel};
 use monogrid_features::{
     CornerConfig, FlowConfig, FlowField, FlowSample, TrackConfig, detect_corners, track_points,
 };
@@ -289,8 +289,8 @@ impl Rectifier {
 #[cfg(test)]
 mod tests {
     use super::{Rectifier, Shutter};
-    use crate::preparation::Unusable;
-    use crate::source::ReadFrame;
+    use crate::read_frame::ReadFrame;
+    use crate::unusable::Unusable;
     use monogrid_geometry::ReadoutDirection::{self, Down, Left, Right, Up};
     use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2};
     use monogrid_image::{GrayImage, Image};

@@ -1,8 +1,10 @@
 //! Where frames come from, and reading them ahead of tracking in a thread of its own.
 
 use crate::clock::thread_cpu;
-use crate::preparation::{Preparation, Preparer, Unusable};
-use crate::shutter::{MAX_WAITING, Rectification, Rectifier};
+use crate::preparation::{Preparation, Preparer};
+use crate::read_frame::ReadFrame;
+use crate::shutter::{MAX_WAITING, Rectifier};
+use crate::unusable::Unusable;
 use crate::waiting::{Entrance, WaitingFrames};
 use monogrid_image::GrayImage;
 use monogrid_slam::fault;
@@ -46,24 +48,6 @@ impl<I: Iterator<Item = SourceFrame> + Send> FrameSource for I {
     fn next_frame(&mut self) -> Option<SourceFrame> {
         self.next()
     }
-}
-
-/// A frame that was read.
-#[derive(Debug)]
-pub struct ReadFrame {
-    /// Number in the source.
-    pub index: usize,
-    /// Time, nanoseconds.
-    pub timestamp_ns: i64,
-    /// The working image; `None` for one that was dropped at [`Pace::Real`].
-    pub image: Option<Result<GrayImage, Unusable>>,
-    /// The rolling shutter that was taken out of it: time from the first row to the last, ms.
-    pub readout_ms: f64,
-    /// How that was done, where it was.
-    pub rectification: Option<Rectification>,
-    /// At [`Pace::Real`] when the camera had it: as long after the first frame was decoded as their
-    /// times say.
-    pub due: Option<Instant>,
 }
 
 /// How to read on after a frame.

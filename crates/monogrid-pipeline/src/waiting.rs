@@ -4,7 +4,7 @@
 //! waits is thinned evenly instead of cut off, so that the camera has moved as little as can be
 //! from each frame to the next.
 
-use crate::source::ReadFrame;
+use crate::read_frame::ReadFrame;
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -117,7 +117,7 @@ fn has_image(frame: &ReadFrame) -> bool {
 #[cfg(test)]
 mod tests {
     use super::{MAX_FRAMES, Queue, ReadFrame, has_image};
-    use crate::preparation::Unusable;
+    use crate::unusable::Unusable;
     use monogrid_image::GrayImage;
 
     const WAIT_NS: i64 = 200;

@@ -1,6 +1,6 @@
 //! The matches of two views in the form that every step needs.
 
-use super::Match;
+use super::types::Match;
 use monogrid_geometry::{Mat3, Pinhole, Rotation, Vec2, Vec3, median};
 
 /// Matches as pixels and as bearings with `z = 1`.

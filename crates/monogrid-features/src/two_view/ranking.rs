@@ -2,7 +2,7 @@
 
 use super::problem::{Problem, median};
 use super::refine::{Refined, uncertainty};
-use super::{TriangulatedPoint, TwoView, TwoViewConfig};
+use super::types::{TriangulatedPoint, TwoView, TwoViewConfig};
 
 /// A refined motion with its cost on the common scale.
 pub(super) struct Ranked<'a> {
