@@ -21,9 +21,7 @@ KNOWN = {
     "monogrid-app": 10,
     "monogrid-bags": 8,
     "monogrid-cli": 12,
-    "monogrid-inertial": 4,
     "monogrid-occupancy": 12,
-    "monogrid-report": 5,
     "monogrid-video": 6,
     "monogrid-worlds": 4,
 }

@@ -1,7 +1,7 @@
 //! Where the estimate begins: in closed form, with the orientations that were seen.
 
 use super::problem::{Problem, States};
-use super::{Motion, NotDetermined};
+use super::types::{Motion, NotDetermined};
 use crate::{Bias, GRAVITY_M_S2, Imu, Preintegrated};
 use monogrid_geometry::{Rotation, Se3, Sim3, Vec3, rotation_log};
 

@@ -5,7 +5,7 @@ use super::band::{Block, Column, STATE, System};
 use super::problem::{
     BIAS, GRAVITY, OTHER_PART, OTHER_PARTS, POSITION, Problem, States, TURN, VELOCITY, tangents,
 };
-use super::walk_variances;
+use super::types::walk_variances;
 use crate::{Bias, GRAVITY_M_S2, Preintegrated};
 use monogrid_geometry::nalgebra::{DMatrix, SMatrix, SVector};
 use monogrid_geometry::{

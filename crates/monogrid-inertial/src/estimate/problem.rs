@@ -3,7 +3,7 @@
 
 use super::band::{Block, Solved, System};
 use super::measurements::Sum;
-use super::{EstimateConfig, Fix, Motion, NotDetermined, Observation};
+use super::types::{EstimateConfig, Fix, Motion, NotDetermined, Observation};
 use crate::{Bias, Imu, ImuNoise, Preintegrated};
 use monogrid_geometry::{Mat3, Rotation, Se3, Sim3, Vec3, rotation_exp, rotation_log};
 

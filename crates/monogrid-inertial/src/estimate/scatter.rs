@@ -5,8 +5,8 @@
 //! little. A delete-a-group jackknife (Efron and Tibshirani 1993, chapter 11) leaves out one
 //! stretch after the other and looks at what that changes.
 
-use super::Observation;
 use super::problem::{Problem, States};
+use super::types::Observation;
 
 /// Stretches that the path is divided into.
 const STRETCHES: usize = 6;

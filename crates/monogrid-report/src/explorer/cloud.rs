@@ -1,7 +1,7 @@
 //! Measured points as a block of integers, and what was measured in keyframes, without what was
 //! filled in between.
 
-use super::Look;
+use super::look::Look;
 use crate::picture::base64;
 use crate::picture::colour::quantile;
 use monogrid_geometry::{Pinhole, Sim3, Vec2};

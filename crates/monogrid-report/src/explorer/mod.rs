@@ -11,6 +11,7 @@
 
 mod cells;
 mod cloud;
+mod look;
 mod mesh;
 mod page;
 mod scene;
@@ -19,8 +20,9 @@ mod shown;
 
 pub use cells::Cells;
 pub use cloud::{Cloud, CloudPoint, SemiDense};
+pub use look::Look;
 pub use mesh::PageMesh;
 pub use page::{LIVE_POLICY, POLICY, STYLE, live_section, section, write_section};
 pub use scene::{Camera, Frames, Keyframe, PathPoint, Scene, seconds_since};
 pub use server::{Answer, Server, Serving};
-pub use shown::{Look, ShownKeyframe, cloud_and_keyframes, measured_in, point_groups, small_jpeg};
+pub use shown::{ShownKeyframe, cloud_and_keyframes, measured_in, point_groups, small_jpeg};

@@ -1,6 +1,7 @@
 //! Keyframes of a map as they are shown, of a run that has just ended or of a recording: pictures
 //! small enough that all of them fit into a page.
 
+use super::look::Look;
 use super::{Cloud, CloudPoint, Keyframe, SemiDense, seconds_since};
 use crate::colours::{ColourImage, Colours};
 use crate::picture::{base64, shrink};
@@ -9,7 +10,6 @@ use monogrid_geometry::{Pinhole, Sim3};
 use monogrid_image::Image;
 use monogrid_mapping::ImageOf;
 use rayon::prelude::*;
-use std::borrow::Cow;
 
 /// Pictures of keyframes at most.
 const MAX_PICTURES: usize = 240;
@@ -32,39 +32,6 @@ pub struct ShownKeyframe<'a> {
     pub image: Option<ImageOf<'a>>,
     /// What was measured in it.
     pub semi_dense: SemiDense,
-}
-
-/// What the pixels of a keyframe look like.
-#[derive(Clone, Debug)]
-pub enum Look<'a> {
-    /// In colour.
-    Colour(ColourImage),
-    /// In grey.
-    Grey(Cow<'a, Image<u8>>),
-    /// Nobody knows: a middle grey.
-    Unknown,
-}
-
-impl<'a> Look<'a> {
-    /// What a keyframe looks like: in colour where that is known and of the size of its grey image.
-    pub fn of(id: u32, image: Option<ImageOf<'a>>, colours: &Colours) -> Self {
-        let size = image.map(ImageOf::size);
-        match colours.of_keyframe(id) {
-            Some(colour) if size == Some((colour.width(), colour.height())) => Self::Colour(colour),
-            _ => image
-                .and_then(ImageOf::get)
-                .map_or(Self::Unknown, Self::Grey),
-        }
-    }
-
-    /// Red, green and blue of a pixel.
-    pub fn at(&self, x: usize, y: usize) -> [u8; 3] {
-        match self {
-            Self::Colour(image) => image.at(x, y),
-            Self::Grey(image) => [image.at(x, y); 3],
-            Self::Unknown => [128; 3],
-        }
-    }
 }
 
 impl ShownKeyframe<'_> {
@@ -156,6 +123,7 @@ fn smaller<T: Copy, const N: usize>(
 mod tests {
     use super::*;
     use monogrid_datasets::{decode_jpeg_luma, decode_jpeg_rgb};
+    use std::borrow::Cow;
     use std::path::Path;
 
     #[test]
