@@ -19,7 +19,6 @@ MAX_FILES = 2
 # crate: files of its largest circle
 KNOWN = {
     "monogrid-app": 10,
-    "monogrid-bags": 8,
     "monogrid-cli": 12,
     "monogrid-occupancy": 12,
     "monogrid-video": 6,

@@ -2,7 +2,7 @@
 
 use crate::convert::{camera_of, gray_image, gray_of_compressed};
 use crate::error::BagError;
-use crate::message::Raw;
+use crate::message::{Messages, Raw};
 use crate::part::{Format, Part, is_packed, parts_of};
 use crate::topic::{Family, Indexed, Topic, TopicKind};
 use crate::{db3, foxglove, mcap, ros1};
@@ -17,9 +17,6 @@ use std::sync::Arc;
 /// Messages from the first image on that are looked at for topics where no index says them: some
 /// seconds of a robot.
 const HEAD_MESSAGES: usize = 5000;
-
-/// Messages one after the other.
-pub(crate) type Messages = Box<dyn Iterator<Item = Result<Raw, BagError>> + Send>;
 
 /// Images with their times, ns.
 pub type Images = Box<dyn Iterator<Item = Result<(i64, GrayImage), BagError>> + Send>;

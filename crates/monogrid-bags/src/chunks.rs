@@ -1,8 +1,7 @@
 //! Recordings whose messages come in chunks.
 
-use crate::bag::Messages;
 use crate::error::BagError;
-use crate::message::Raw;
+use crate::message::{Messages, Raw};
 use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{BufReader, Read};

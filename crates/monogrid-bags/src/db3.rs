@@ -1,9 +1,8 @@
 //! rosbag2 in SQLite files: a table of topics (id, name, type, ...) and one of messages (id, topic,
 //! time, data).
 
-use crate::bag::Messages;
 use crate::error::BagError;
-use crate::message::{Raw, Wire};
+use crate::message::{Messages, Raw, Wire};
 use crate::part::Part;
 use crate::sqlite::{Database, Row, Value};
 use crate::topic::{Indexed, Topic};

@@ -27,6 +27,7 @@ mod error;
 mod fields;
 mod foxglove;
 mod inertial;
+mod magic;
 mod mcap;
 mod message;
 mod part;

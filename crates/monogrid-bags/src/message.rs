@@ -1,7 +1,8 @@
 //! Messages as they lie in a recording, and what is in them.
 
 use crate::chunks::Unpacker;
-use crate::part::ZSTD_MAGIC;
+use crate::error::BagError;
+use crate::magic;
 use crate::topic::{Topic, TopicKind};
 use monogrid_messages::cdr::{self, ByteOrder};
 use serde::de::DeserializeOwned;
@@ -47,6 +48,9 @@ pub struct Raw {
     pub unpacker: Arc<Unpacker>,
 }
 
+/// Messages one after the other.
+pub type Messages = Box<dyn Iterator<Item = Result<Raw, BagError>> + Send>;
+
 impl Raw {
     pub fn new(topic: &Arc<Topic>, log_ns: i64, wire: Option<Wire>, data: &[u8]) -> Self {
         let is_kept = topic.kind != TopicKind::Other && wire.is_some();
@@ -62,7 +66,7 @@ impl Raw {
     /// The bytes of the message, decompressed where rosbag2 has compressed each one by itself.
     pub fn bytes(&self) -> Result<Cow<'_, [u8]>, String> {
         // CDR begins with a zero
-        if self.wire == Some(Wire::Cdr) && self.data.starts_with(ZSTD_MAGIC) {
+        if self.wire == Some(Wire::Cdr) && self.data.starts_with(magic::ZSTD) {
             return self.unpacker.unpacked_message(&self.data).map(Cow::Owned);
         }
         Ok(Cow::Borrowed(&self.data))

@@ -2,15 +2,11 @@
 
 use crate::chunks::{Unpacker, unpacked_file};
 use crate::error::BagError;
-use crate::{mcap, ros1, sqlite};
+use crate::{magic, mcap};
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-/// What files begin with that rosbag2 has compressed as a whole, and messages that it has
-/// compressed one by one.
-pub const ZSTD_MAGIC: &[u8] = b"\x28\xb5\x2f\xfd";
 
 /// What a file is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,8 +20,8 @@ impl Format {
     fn of(head: &[u8]) -> Option<Self> {
         let formats = [
             (mcap::MAGIC, Self::Mcap),
-            (sqlite::MAGIC, Self::Db3),
-            (ros1::MAGIC, Self::Ros1),
+            (magic::SQLITE, Self::Db3),
+            (magic::ROS1, Self::Ros1),
         ];
         let mut formats = formats.into_iter();
         formats
@@ -50,7 +46,7 @@ impl Part {
     fn at(path: &Path) -> io::Result<Option<Self>> {
         let mut head = Vec::new();
         File::open(path)?.take(16).read_to_end(&mut head)?;
-        let is_packed = head.starts_with(ZSTD_MAGIC);
+        let is_packed = head.starts_with(magic::ZSTD);
         if is_packed {
             head = unpacked_head(path);
         }
@@ -103,7 +99,7 @@ impl Part {
 pub fn is_packed(path: &Path) -> bool {
     let mut head = Vec::new();
     let read = File::open(path).and_then(|file| file.take(4).read_to_end(&mut head));
-    read.is_ok() && head == ZSTD_MAGIC
+    read.is_ok() && head == magic::ZSTD
 }
 
 /// The first bytes of what is compressed; none where that is nothing.

@@ -1,19 +1,16 @@
 //! ROS 1 bags, version 2.0: records of header fields (`name=value`) and data; messages lie in
 //! chunks.
 
-use crate::bag::Messages;
 use crate::chunks::{self, Unpacker, in_chunks};
 use crate::error::BagError;
 use crate::fields::Fields;
-use crate::message::{Raw, Wire};
+use crate::magic;
+use crate::message::{Messages, Raw, Wire};
 use crate::part::{Input, Part};
 use crate::topic::{Indexed, Topic};
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::sync::Arc;
-
-/// What a file begins with.
-pub const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 
 const MESSAGE: u8 = 2;
 const BAG: u8 = 3;
@@ -30,7 +27,7 @@ pub fn topics(part: &Part) -> Result<Option<Vec<Indexed>>, BagError> {
 /// Connections, and how many messages the chunks have of each.
 fn index(input: &mut Input) -> Result<Option<Vec<Indexed>>, String> {
     let sought = |error: io::Error| error.to_string();
-    let start = MAGIC.len() as u64;
+    let start = magic::ROS1.len() as u64;
     input.seek(SeekFrom::Start(start)).map_err(sought)?;
     let header = block(input)?.unwrap_or_default();
     let fields = Header(&header);
@@ -81,7 +78,7 @@ fn connection(fields: Header, data: &[u8]) -> Result<(u32, Topic), String> {
 pub fn messages(part: &Part) -> Result<Messages, BagError> {
     let path = &part.path;
     let mut file = BufReader::with_capacity(1 << 18, part.open()?);
-    file.read_exact(&mut [0; MAGIC.len()])
+    file.read_exact(&mut [0; magic::ROS1.len()])
         .map_err(BagError::io(path))?;
     let mut records = Ros1Messages {
         file,

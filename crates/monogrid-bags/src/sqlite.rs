@@ -5,11 +5,9 @@
 //! not fit goes on in a chain of overflow pages. Nothing is looked up and nothing written, which is
 //! why a hundred lines take the place of a library in C.
 
+use crate::magic;
 use crate::part::Input;
 use std::io::{Read, Seek, SeekFrom};
-
-/// What a file begins with.
-pub const MAGIC: &[u8] = b"SQLite format 3\0";
 
 const HEADER_BYTES: usize = 100;
 const LEAF: u8 = 0x0d;
@@ -47,7 +45,7 @@ impl Database {
         let mut header = [0; HEADER_BYTES];
         file.read_exact(&mut header)
             .map_err(|_| "the file is shorter than its header".to_owned())?;
-        if !header.starts_with(MAGIC) {
+        if !header.starts_with(magic::SQLITE) {
             return Err("it does not begin as an SQLite file".to_owned());
         }
         let page_bytes = match u16::from_be_bytes([header[16], header[17]]) {
@@ -358,7 +356,7 @@ mod tests {
         let table = [&types[..], b"table", b"t", b"t", &[2], b"x"].concat();
         let table = [&[table.len() as u8, 1], table.as_slice()].concat();
         let mut file = leaf(&table, 1, HEADER_BYTES);
-        file[..MAGIC.len()].copy_from_slice(MAGIC);
+        file[..magic::SQLITE.len()].copy_from_slice(magic::SQLITE);
         file[16..18].copy_from_slice(&(PAGE as u16).to_be_bytes());
         // one of fifty bytes
         let row = [&[52, 1, 2, 112][..], &[7; 50]].concat();
