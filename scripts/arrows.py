@@ -18,7 +18,6 @@ ROOT = Path(__file__).resolve().parent.parent
 MAX_FILES = 2
 # crate: files of its largest circle
 KNOWN = {
-    "monogrid-app": 10,
     "monogrid-cli": 12,
     "monogrid-occupancy": 12,
     "monogrid-video": 6,

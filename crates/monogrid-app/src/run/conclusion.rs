@@ -6,7 +6,7 @@ use crate::process::failure::{CommandResult, Failure};
 use crate::process::print_json;
 use crate::run::sensed::InertialSummary;
 use crate::run::summary::{Status, Summary};
-use crate::run::tracking::threads::Tracked;
+use crate::run::tracking::tracked::Tracked;
 use crate::run::whole::Finished;
 use monogrid_calibration::CameraMotion;
 use std::path::Path;

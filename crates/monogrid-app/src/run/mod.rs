@@ -25,71 +25,13 @@ pub mod outputs;
 pub mod report;
 pub mod sensed;
 pub mod sessions;
+mod settings;
 pub mod summary;
 pub mod tracking;
 mod trust;
 pub mod whole;
 
 pub use live::View;
+pub use settings::RunSettings;
 pub use tracking::memory_limit::MemoryLimit;
 pub use tracking::submaps::SubmapPolicy;
-
-use crate::config::RunConfig;
-use crate::output::OutputFile;
-use monogrid_image::GrayImage;
-use monogrid_pipeline::Pace;
-use monogrid_slam::Purpose;
-use sessions::{Continued, Earlier};
-
-/// What a run is asked for, besides its input.
-#[derive(Debug)]
-pub struct RunSettings {
-    /// All settings.
-    pub config: RunConfig,
-    /// Depth (metres) to start with, and the index of the frame it belongs to.
-    pub seed_depth: Option<(usize, GrayImage)>,
-    /// The map to go on with.
-    pub continued: Option<Continued>,
-    /// How fast frames are read.
-    pub pace: Pace,
-    /// Threads for the final maps.
-    pub threads: usize,
-    /// Whether to show a progress bar.
-    pub show_progress: bool,
-    /// Who looks at the run while it goes on.
-    pub view: Option<View>,
-    /// Memory that the process should stay within.
-    pub memory_limit: Option<MemoryLimit>,
-    /// When finished keyframes are closed into submaps, where they are wanted.
-    pub submaps: Option<SubmapPolicy>,
-    /// Where to write the run as messages.
-    pub mcap: Option<OutputFile>,
-}
-
-impl RunSettings {
-    /// A run that starts from nothing, takes its time and shows no progress.
-    pub fn new(config: RunConfig, threads: usize) -> Self {
-        Self {
-            config,
-            seed_depth: None,
-            continued: None,
-            pace: Pace::Taken,
-            threads,
-            show_progress: false,
-            view: None,
-            memory_limit: None,
-            submaps: None,
-            mcap: None,
-        }
-    }
-
-    /// Whether the map of an earlier run is only used, not changed.
-    pub fn is_localise_only(&self) -> bool {
-        let purpose = self.continued.as_ref().map(|continued| continued.purpose);
-        purpose == Some(Purpose::LocaliseOnly)
-    }
-
-    fn earlier(&self) -> Option<&Earlier> {
-        self.continued.as_ref().map(|continued| &continued.earlier)
-    }
-}

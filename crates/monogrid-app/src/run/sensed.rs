@@ -1,7 +1,7 @@
 //! What the inertial sensor says of a finished path: metres, and where up is.
 
 use crate::input::readings::Inertial;
-use crate::run::tracking::threads::Tracked;
+use crate::run::tracking::tracked::Tracked;
 use monogrid_datasets::TimedPose;
 use monogrid_geometry::{Se3, Vec3};
 use monogrid_inertial::{Estimate, EstimateConfig, Fix, Observation, estimate};

@@ -14,10 +14,11 @@ use crate::run::report::{Reference, ReportInput, write_page};
 use crate::run::sensed::{Sensed, sense};
 use crate::run::sessions::{RECORDING, tracked_frame};
 use crate::run::summary::{Summary, is_metric, unit_name};
-use crate::run::tracking::EarlyEnd;
 use crate::run::tracking::progress::watched;
 use crate::run::tracking::salvage::Salvage;
-use crate::run::tracking::threads::{Tracked, track, viewer};
+use crate::run::tracking::threads::{track, viewer};
+
+use crate::run::tracking::tracked::{EarlyEnd, Tracked};
 use crate::run::trust::trust;
 use crate::run::{MemoryLimit, RunSettings};
 use monogrid_datasets::TimedPose;

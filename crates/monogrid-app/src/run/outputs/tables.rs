@@ -6,7 +6,7 @@ use crate::run::RunSettings;
 use crate::run::align::{MapFrame, in_map};
 use crate::run::sessions::{Earlier, MAP_FROM_WORLD, tracked_frame};
 use crate::run::tracking::frames::{FrameFate, FrameRow};
-use crate::run::tracking::threads::Tracked;
+use crate::run::tracking::tracked::Tracked;
 use monogrid_datasets::{TimedPose, format_seconds, format_sim3, format_tum};
 use monogrid_geometry::{Se3, Sim3};
 use monogrid_graph::g2o;

@@ -3,7 +3,7 @@
 use super::ReportInput;
 use super::tracking::{STATES, state};
 use crate::run::tracking::frames::FrameRow;
-use crate::run::tracking::threads::Tracked;
+use crate::run::tracking::tracked::Tracked;
 use monogrid_report::explorer::{
     Camera, Cells, Frames, PageMesh, PathPoint, Scene, cloud_and_keyframes, point_groups,
     seconds_since,

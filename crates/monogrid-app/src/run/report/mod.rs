@@ -7,7 +7,7 @@ use crate::run::align::MapFrame;
 use crate::run::outputs::{MapPictures, Paths};
 use crate::run::summary::Summary;
 use crate::run::tracking::recorder::measured;
-use crate::run::tracking::threads::Tracked;
+use crate::run::tracking::tracked::Tracked;
 use monogrid_report::Page;
 use monogrid_report::colours::Colours;
 use monogrid_report::explorer::{self, ShownKeyframe};

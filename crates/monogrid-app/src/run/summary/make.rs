@@ -7,7 +7,7 @@ use crate::run::RunSettings;
 use crate::run::align::MapFrame;
 use crate::run::sessions::sessions;
 use crate::run::tracking::frames::{FrameFate, FrameRow};
-use crate::run::tracking::threads::Tracked;
+use crate::run::tracking::tracked::Tracked;
 
 use monogrid_mapping::Maps;
 use monogrid_slam::{KeyframeId, Scale, Slam};

@@ -4,9 +4,9 @@
 
 use crate::process::failure::Outcome;
 use crate::run::RunSettings;
-use crate::run::tracking::EarlyEnd;
 use crate::run::tracking::frames::{FrameFate, FrameRow};
-use crate::run::tracking::threads::Tracked;
+use crate::run::tracking::tracked::EarlyEnd;
+use crate::run::tracking::tracked::Tracked;
 use monogrid_calibration::CameraMotion;
 use monogrid_slam::TrackingState;
 use serde::Serialize;

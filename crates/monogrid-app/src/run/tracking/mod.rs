@@ -8,6 +8,7 @@ pub mod recorder;
 pub(crate) mod salvage;
 pub mod submaps;
 pub mod threads;
+pub mod tracked;
 
 use crate::camera::calibration_check::CalibrationCheck;
 use crate::camera::rolling::ShutterSearch;
@@ -23,7 +24,7 @@ use crate::run::tracking::frame_log::FrameLog;
 use crate::run::tracking::frames::{FrameFate, FrameRow};
 use crate::run::tracking::progress::Progress;
 use crate::run::tracking::salvage::Salvage;
-use crate::run::tracking::threads::{CpuTimes, Tracked};
+use crate::run::tracking::tracked::{CpuTimes, EarlyEnd, Tracked};
 use monogrid_calibration::{CameraMotion, MotionWatch};
 use monogrid_image::GrayImage;
 use monogrid_pipeline::{
@@ -34,20 +35,6 @@ use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-
-/// Why a run ended before its last frame.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum EarlyEnd {
-    /// The user interrupted it.
-    Interrupted,
-    /// So many frames in a row were unreadable, too many or all that there are; the reason of the
-    /// last.
-    Unreadable(usize, String),
-    /// The source could not be read any further, and why.
-    BrokeOff(String),
-    /// A part of the program failed, and why.
-    Failed(String),
-}
 
 /// Between frames that follow each other lies no more than this, ns.
 const MAX_INTERVAL_NS: i64 = 200_000_000;

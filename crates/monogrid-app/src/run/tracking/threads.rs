@@ -9,49 +9,16 @@ use crate::process::usage::process_cpu;
 use crate::run::RunSettings;
 use crate::run::live::Viewer;
 use crate::run::sessions::Continued;
-use crate::run::tracking::frames::FrameRow;
+use crate::run::tracking::Tracking;
 use crate::run::tracking::recorder::Recorder;
 use crate::run::tracking::salvage::Salvage;
-use crate::run::tracking::{EarlyEnd, Tracking};
-use monogrid_calibration::CameraMotion;
+use crate::run::tracking::tracked::Tracked;
 use monogrid_datasets::SessionInfo;
-use monogrid_pipeline::{Finished, Pipeline, Reading, Settings, attempt, read_ahead};
+use monogrid_pipeline::{Pipeline, Reading, Settings, attempt, read_ahead};
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
-
-/// CPU time by what it was used for.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct CpuTimes {
-    /// Tracking, depth and graph together.
-    pub slam: Duration,
-    /// Occupancy maps.
-    pub mapping: Duration,
-    /// Decoding and undistortion.
-    pub reading: Duration,
-    /// Recording and pictures of keyframes.
-    pub recording: Duration,
-}
-
-/// Everything that a run found, but for its final maps.
-#[derive(Debug)]
-pub struct Tracked {
-    /// Every frame.
-    pub rows: Vec<FrameRow>,
-    /// The system, the final trajectory and poses of keyframes, and the maps as they grew.
-    pub run: Finished,
-    /// CPU time.
-    pub cpu: CpuTimes,
-    /// Why it ended early.
-    pub early_end: Option<EarlyEnd>,
-    /// What was found against the calibration, in sentences.
-    pub warnings: Vec<String>,
-    /// Time from the first row of an image to the last, given or found, ms.
-    pub readout_ms: f64,
-    /// How the camera moves, where that is why there is no map.
-    pub no_map: Option<CameraMotion>,
-}
 
 /// Of a run that is not interrupted.
 static NEVER: AtomicBool = AtomicBool::new(false);

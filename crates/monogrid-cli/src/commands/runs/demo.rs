@@ -13,7 +13,7 @@ use monogrid_app::run::RunSettings;
 use monogrid_app::run::align::Align;
 use monogrid_app::run::conclusion::conclude;
 use monogrid_app::run::outputs::path_of;
-use monogrid_app::run::tracking::threads::Tracked;
+use monogrid_app::run::tracking::tracked::Tracked;
 use monogrid_app::run::whole::{Extras, run_all};
 use monogrid_datasets::TimedPose;
 use monogrid_evaluation::{
