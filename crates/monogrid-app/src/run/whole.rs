@@ -17,7 +17,6 @@ use crate::run::summary::{Summary, is_metric, unit_name};
 use crate::run::tracking::progress::watched;
 use crate::run::tracking::salvage::Salvage;
 use crate::run::tracking::threads::{track, viewer};
-
 use crate::run::tracking::tracked::{EarlyEnd, Tracked};
 use crate::run::trust::trust;
 use crate::run::{MemoryLimit, RunSettings};
