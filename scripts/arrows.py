@@ -19,7 +19,7 @@ MAX_FILES = 2
 # crate: files of its largest circle
 KNOWN = {
     "monogrid-cli": 12,
-    "monogrid-occupancy": 12,
+    "monogrid-occupancy": 6,
     "monogrid-video": 6,
     "monogrid-worlds": 4,
 }
