@@ -2,11 +2,10 @@
 //! where there is one. Checksums are compared: what comes before damage is given.
 
 use super::{MAGIC, op};
-use crate::bag::Messages;
 use crate::chunks::{Unpacker, block, in_chunks};
 use crate::error::BagError;
 use crate::fields::Fields;
-use crate::message::{Raw, Wire};
+use crate::message::{Messages, Raw, Wire};
 use crate::part::{Input, Part};
 use crate::topic::{Indexed, Topic};
 use crc32fast::Hasher;
