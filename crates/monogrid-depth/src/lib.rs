@@ -45,7 +45,7 @@ mod variance;
 
 pub use choose::MATURE_VALIDITY;
 pub use config::{DepthConfig, FrameChoice, GradientSelection, VarianceModel};
-pub use dense::{DenseConfig, DenseDepth, Witness, dense_depth};
+pub use dense::{DenseConfig, DenseDepth, SupportingView, dense_depth};
 pub use host::HostFrame;
 pub use map::{DepthMap, FoundDepth};
 pub use monogrid_image::DepthPixel;

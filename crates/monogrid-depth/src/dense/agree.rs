@@ -16,14 +16,14 @@ const BINS: usize = 400;
 
 /// Another keyframe and its depth.
 #[derive(Clone, Copy, Debug)]
-pub struct Witness<'a> {
+pub struct SupportingView<'a> {
     /// Its depth.
     pub depth: &'a DenseDepth,
     /// From the coordinates of the keyframe in question (in its units) to those of the other.
-    pub witness_from_keyframe: Sim3,
+    pub view_from_keyframe: Sim3,
 }
 
-/// What the witnesses say about one pixel.
+/// What the supporting views say about one pixel.
 #[derive(Default)]
 struct Opinions {
     /// Those that agree, and sums of their differences and squares of them.
@@ -37,15 +37,20 @@ struct Opinions {
 }
 
 impl DenseDepth {
-    /// The depth of the pixels that at least `config.min_agreeing` witnesses confirm to within 2 %
-    /// (one less where they agree closely) and are not outvoted by others, with the variance of the
-    /// own costs, of the disagreement at the pixel, and of the disagreement that all pixels share.
-    /// It is not the mean with that of the witnesses: a mean agrees with what it is made of, and
-    /// how far keyframes disagree is what tells the uncertainty of the map.
+    /// The depth of the pixels that at least `config.min_agreeing` supporting views confirm to
+    /// within 2 % (one less where they agree closely) and are not outvoted by others, with the
+    /// variance of the own costs, of the disagreement at the pixel, and of the disagreement that
+    /// all pixels share. It is not the mean with that of the supporting views: a mean agrees with
+    /// what it is made of, and how far keyframes disagree is what tells the uncertainty of the map.
     ///
     /// `camera` is that of the full image.
     #[must_use]
-    pub fn agreed(&self, witnesses: &[Witness], camera: &Pinhole, config: &DenseConfig) -> Self {
+    pub fn agreed(
+        &self,
+        supporting: &[SupportingView],
+        camera: &Pinhole,
+        config: &DenseConfig,
+    ) -> Self {
         let camera = camera.half();
         let (width, height) = (self.idepth.width(), self.idepth.height());
         let mut agreed = Self::unknown(width, height);
@@ -57,7 +62,7 @@ impl DenseDepth {
                     continue;
                 }
                 let point = camera.unproject(&Vec2::new(x as f64, y as f64)) / f64::from(idepth);
-                let opinions = heard(&point, witnesses, &camera, &mut differences);
+                let opinions = heard(&point, supporting, &camera, &mut differences);
                 if opinions.is_held(config) {
                     let own = self.sigma.at(x, y) / idepth;
                     agreed.idepth.set(x, y, idepth);
@@ -76,8 +81,8 @@ impl DenseDepth {
 }
 
 impl Opinions {
-    /// Whether enough witnesses agree and they are not outvoted: what sees through the point counts
-    /// as one, what sees something before it as a half. One witness less will do if none sees
+    /// Whether enough supporting views agree and they are not outvoted: what sees through the point
+    /// counts as one, what sees something before it as a half. One view less will do if none sees
     /// through the point and the others agree twice as closely.
     fn is_held(&self, config: &DenseConfig) -> bool {
         let tolerance = 0.5 * TOLERANCE as f32;
@@ -95,16 +100,16 @@ impl Opinions {
     }
 }
 
-/// What the witnesses have where they see a point.
+/// What the supporting views have where they see a point.
 fn heard(
     point: &Vec3,
-    witnesses: &[Witness],
+    supporting: &[SupportingView],
     camera: &Pinhole,
     differences: &mut Differences,
 ) -> Opinions {
     let mut opinions = Opinions::default();
-    for witness in witnesses {
-        let Some(difference) = difference(point, witness, camera) else {
+    for view in supporting {
+        let Some(difference) = difference(point, view, camera) else {
             continue;
         };
         differences.add(difference);
@@ -121,15 +126,15 @@ fn heard(
     opinions
 }
 
-/// The inverse depth of a witness where it sees a point over that of the point, less 1; `None`
-/// where it has none.
-fn difference(point: &Vec3, witness: &Witness, camera: &Pinhole) -> Option<f32> {
-    let seen = witness.witness_from_keyframe * *point;
+/// The inverse depth of a supporting view where it sees a point over that of the point, less 1;
+/// `None` where it has none.
+fn difference(point: &Vec3, view: &SupportingView, camera: &Pinhole) -> Option<f32> {
+    let seen = view.view_from_keyframe * *point;
     if seen.z <= 1e-9 {
         return None;
     }
     let at = camera.project(&seen);
-    let idepths = &witness.depth.idepth;
+    let idepths = &view.depth.idepth;
     let (x, y) = (at.x + 0.5, at.y + 0.5);
     let is_inside =
         x >= 0.0 && y >= 0.0 && x < idepths.width() as f64 && y < idepths.height() as f64;
@@ -137,7 +142,7 @@ fn difference(point: &Vec3, witness: &Witness, camera: &Pinhole) -> Option<f32> 
     (idepth > 0.0).then_some(idepth * seen.z as f32 - 1.0)
 }
 
-/// How much the pixels of a keyframe and its witnesses differ.
+/// How much the pixels of a keyframe and its supporting views differ.
 struct Differences([u32; BINS]);
 
 impl Differences {

@@ -16,7 +16,7 @@ mod winner;
 
 use crate::DepthPixel;
 use crate::multi_view::SourceView;
-pub use agree::Witness;
+pub use agree::SupportingView;
 use monogrid_geometry::Pinhole;
 use monogrid_image::{GrayImage, Image, half_size};
 use sweep::CostVolume;

@@ -100,19 +100,18 @@ fn a_slanted_wall_and_what_stands_before_it_are_found() {
 fn depth_that_others_contradict_goes_and_the_rest_keeps_its_own() {
     let depth = depth_at(0.0, false);
     let others = EYES.map(|eye| depth_at(eye, false));
-    let witnesses = |moved: f64| -> Vec<Witness<'_>> {
+    let supporting = |moved: f64| -> Vec<SupportingView<'_>> {
         others
             .iter()
             .zip(EYES)
-            .map(|(depth, eye)| Witness {
+            .map(|(depth, eye)| SupportingView {
                 depth,
-                witness_from_keyframe: Sim3::new(moved, Rotation::identity(), Vec3::zeros())
-                    * at(eye),
+                view_from_keyframe: Sim3::new(moved, Rotation::identity(), Vec3::zeros()) * at(eye),
             })
             .collect()
     };
     let config = DenseConfig::default();
-    let agreed = depth.agreed(&witnesses(1.0), &CAMERA, &config);
+    let agreed = depth.agreed(&supporting(1.0), &CAMERA, &config);
     // what holds keeps its depth: a mean would agree with what it is made of
     let mut depths = agreed.idepth.as_slice().iter().zip(depth.idepth.as_slice());
     assert!(depths.all(|(held, own)| *held <= 0.0 || held == own));
@@ -130,7 +129,7 @@ fn depth_that_others_contradict_goes_and_the_rest_keeps_its_own() {
     }
     assert!(inside * 10 > all * 9, "{inside} of {all} within two sigma");
     // the others have all depths 6 % larger
-    let moved = depth.agreed(&witnesses(1.0 / 1.06), &CAMERA, &config);
+    let moved = depth.agreed(&supporting(1.0 / 1.06), &CAMERA, &config);
     let (known, _) = shares(&moved, false);
     assert!(known < 0.05, "{known}");
 }

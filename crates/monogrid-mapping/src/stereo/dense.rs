@@ -4,7 +4,7 @@
 use super::refine::source_views;
 use crate::KeyframeCamera;
 use crate::scene::{DepthImage, Neighbour, Scene};
-use monogrid_depth::{DenseDepth, Witness, dense_depth};
+use monogrid_depth::{DenseDepth, SupportingView, dense_depth};
 use monogrid_geometry::{Sim3, Vec2, Vec3};
 use monogrid_image::Image;
 use monogrid_slam::DepthPixel;
@@ -37,12 +37,14 @@ pub(crate) fn confirmed(
     let seen: Vec<(Arc<DenseDepth>, Sim3)> = neighbours
         .filter_map(|other| Some((depth(other.index)?, other.neighbour_from_keyframe)))
         .collect();
-    let witnesses = seen.iter().map(|(depth, witness_from_keyframe)| Witness {
-        depth,
-        witness_from_keyframe: *witness_from_keyframe,
-    });
-    let witnesses: Vec<Witness> = witnesses.collect();
-    Some(own.agreed(&witnesses, &scene.camera.pinhole, &effort.stereo))
+    let supporting = seen
+        .iter()
+        .map(|(depth, view_from_keyframe)| SupportingView {
+            depth,
+            view_from_keyframe: *view_from_keyframe,
+        });
+    let supporting: Vec<SupportingView> = supporting.collect();
+    Some(own.agreed(&supporting, &scene.camera.pinhole, &effort.stereo))
 }
 
 /// The dense depth of one keyframe by its neighbours.
