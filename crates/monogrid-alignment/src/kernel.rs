@@ -1,5 +1,6 @@
 //! The normal equations of one level: residuals, weights and Jacobians of all points.
 
+use crate::damping::MIN_DEPTH_RATIO;
 use crate::target::by_point;
 use crate::{ReferenceLevel, Robust, TargetLevel};
 use monogrid_geometry::Se3;
@@ -350,7 +351,7 @@ impl Projection {
         let inv_qz = one / qz;
         let (x, y) = (qx * inv_qz, qy * inv_qz);
         let (u, v) = (x * fx + cx, y * fy + cy);
-        let visible = qz.gt(lanes.splat(0.01)) & target.contains_lanes(lanes, u, v);
+        let visible = qz.gt(lanes.splat(MIN_DEPTH_RATIO)) & target.contains_lanes(lanes, u, v);
         let (x, y, d, inv_qz) = (visible & x, visible & y, visible & d, visible & inv_qz);
         let [intensity, gu, gv] = target.sample_lanes(lanes, u, v, visible);
         let keyframe = visible & of(&reference.intensity);

@@ -13,6 +13,7 @@
 #![deny(missing_docs)]
 
 mod config;
+mod damping;
 mod kernel;
 mod reference;
 mod similarity;

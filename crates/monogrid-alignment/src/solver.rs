@@ -1,5 +1,6 @@
 //! Levenberg-Marquardt over the levels, coarse to fine.
 
+use crate::damping::{DIAGONAL_FLOOR, FIRST_LAMBDA, MIN_LAMBDA, MIN_SCALE_CHANGE, SCALES, less};
 use crate::kernel::UNKNOWNS;
 use crate::{AlignmentConfig, Brightness, Linearization, Motion, Reference, Robust, Target};
 use crate::{Weighting, linearize};
@@ -202,7 +203,7 @@ fn descend(
     while iterations < max_iterations {
         iterations += 1;
         let Some(step) = solve(&linear, &motion, &prior, lambda, freedom, config.brightness) else {
-            lambda = f64::max(2.0 * lambda, 1e-3);
+            lambda = f64::max(2.0 * lambda, MIN_LAMBDA);
             if lambda > MAX_LAMBDA {
                 break;
             }
@@ -217,7 +218,7 @@ fn descend(
             let decrease = 1.0 - trial_cost / cost;
             motion = candidate;
             linear = trial;
-            lambda = if lambda < 1e-3 { 0.0 } else { lambda * 0.25 };
+            lambda = less(lambda);
             if decrease < MIN_COST_DECREASE {
                 break;
             }
@@ -225,7 +226,11 @@ fn descend(
             if step_sq < MIN_STEP_SQ {
                 break;
             }
-            lambda = if lambda == 0.0 { 0.05 } else { lambda * 4.0 };
+            lambda = if lambda == 0.0 {
+                FIRST_LAMBDA
+            } else {
+                lambda * 4.0
+            };
             if lambda > MAX_LAMBDA {
                 break;
             }
@@ -240,10 +245,8 @@ fn update_scale(weighting: &mut Weighting, linear: &Linearization) -> bool {
         return false;
     }
     let scale = (linear.scale_sum / linear.num_visible as f64).sqrt() as f32;
-    // Below a tenth of the assumed noise the residuals are those of a rendered image: a smaller
-    // scale would only make the weights reject everything.
-    let scale = scale.clamp(0.1, 20.0);
-    let changed = (scale / weighting.scale - 1.0).abs() > 0.05;
+    let scale = scale.clamp(SCALES[0], SCALES[1]);
+    let changed = (scale / weighting.scale - 1.0).abs() > MIN_SCALE_CHANGE;
     weighting.scale = scale;
     changed
 }
@@ -270,7 +273,7 @@ fn solve(
             h[(i, i)] = 1.0;
             b[i] = 0.0;
         } else {
-            h[(i, i)] += lambda * h[(i, i)] + 1e-9;
+            h[(i, i)] += lambda * h[(i, i)] + DIAGONAL_FLOOR;
         }
     }
     let step = h.cholesky()?.solve(&b);

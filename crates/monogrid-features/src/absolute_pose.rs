@@ -3,9 +3,12 @@
 
 use crate::Rng;
 use crate::polynomial::{multiply, real_roots};
+use crate::ransac::samples_needed;
 use monogrid_geometry::nalgebra::{Matrix2x3, Matrix2x6, Rotation3};
 use monogrid_geometry::{Mat3, Mat6, Pinhole, Rotation, Se3, Vec2, Vec3, Vec6, hat};
 
+/// Smallest share of inliers that samples are drawn for.
+const MIN_INLIER_RATIO: f64 = 0.02;
 /// A known point and where it is seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PointPixel {
@@ -80,7 +83,7 @@ pub fn absolute_pose(
                 };
                 best = Some((cost, pose));
                 let ratio = 1.0 - cost / (limit * sightings.len() as f64);
-                enough = samples_needed(ratio);
+                enough = samples_needed(ratio, MIN_INLIER_RATIO, 3);
             }
         }
     }
@@ -88,12 +91,6 @@ pub fn absolute_pose(
     let errors = sightings.iter().map(|s| error_sq(s, pinhole, &pose));
     let num_inliers = errors.filter(|e| *e < limit).count();
     (num_inliers >= needed).then_some(pose)
-}
-
-/// Samples needed to see a clean one with a probability of 0.999.
-fn samples_needed(inlier_ratio: f64) -> usize {
-    let clean = inlier_ratio.clamp(0.02, 0.99).powi(3);
-    ((1.0f64 - 0.999).ln() / (1.0 - clean).ln()).ceil() as usize
 }
 
 /// Poses from three points and unit rays: at most four.
@@ -156,7 +153,7 @@ fn align_triangle(from: &[Vec3; 3], to: &[Vec3; 3]) -> Option<Se3> {
 
 fn error_sq(sighting: &PointPixel, pinhole: &Pinhole, pose: &Se3) -> f64 {
     let point = *pose * sighting.point_in_world;
-    if point.z < 1e-6 {
+    if point.z < Pinhole::MIN_DEPTH {
         return f64::INFINITY;
     }
     (pinhole.project(&point) - sighting.pixel).norm_squared()
@@ -174,7 +171,7 @@ fn linearise(
     pose: &Se3,
 ) -> Option<(Vec2, Matrix2x6<f64>)> {
     let p = *pose * sighting.point_in_world;
-    if p.z < 1e-6 {
+    if p.z < Pinhole::MIN_DEPTH {
         return None;
     }
     let (fx, fy) = (pinhole.fx / p.z, pinhole.fy / p.z);

@@ -17,6 +17,7 @@ mod describe;
 mod flow;
 mod place;
 mod polynomial;
+mod ransac;
 #[cfg(test)]
 mod test_images;
 mod track;

@@ -18,6 +18,10 @@ pub struct Pinhole {
 }
 
 impl Pinhole {
+    /// Points with less depth than this, in the unit of the scene, count as beside or behind the
+    /// camera.
+    pub const MIN_DEPTH: f64 = 1e-6;
+
     /// Intrinsics from four numbers in pixels.
     #[must_use]
     pub fn new(fx: f64, fy: f64, cx: f64, cy: f64) -> Self {

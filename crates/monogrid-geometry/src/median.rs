@@ -1,5 +1,8 @@
 //! The value in the middle.
 
+/// Standard deviation of a normal distribution whose absolute values have the median 1.
+pub const SIGMA_OF_MEDIAN: f64 = 1.4826;
+
 /// The upper median of numbers, which are put into another order; `None` of none.
 pub fn median<T: Real>(values: &mut [T]) -> Option<T> {
     let middle = values.len() / 2;

@@ -1,6 +1,7 @@
 //! The normal equations of one level over similarity, gain and bias.
 
 use super::DepthLevel;
+use crate::damping::MIN_DEPTH_RATIO;
 use crate::kernel::{Eight, by_idepth, huber, position_times_idepth, residual_row, taken};
 use crate::{ReferenceLevel, Robust, TargetLevel};
 use monogrid_geometry::{Mat7, Sim3, Vec7};
@@ -411,7 +412,7 @@ impl Projection {
         let inv_qz = one / qz;
         let (x, y) = (qx * inv_qz, qy * inv_qz);
         let (u, v) = (x * fx + cx, y * fy + cy);
-        let in_front = qz.gt(lanes.splat(0.01)) & d.gt(zero);
+        let in_front = qz.gt(lanes.splat(MIN_DEPTH_RATIO)) & d.gt(zero);
         let visible = in_front & image.contains_lanes(lanes, u, v);
         let (x, y, d) = (visible & x, visible & y, visible & d);
         let (qz, inv_qz) = (visible & qz, visible & inv_qz);

@@ -6,6 +6,7 @@ use super::{
     linearize_similarity,
 };
 use crate::Robust;
+use crate::damping::{DIAGONAL_FLOOR, FIRST_LAMBDA, MIN_SCALE_CHANGE, SCALES, less};
 use monogrid_geometry::{Mat7, Sim3};
 use nalgebra::SVector;
 
@@ -160,14 +161,14 @@ fn align_level(
         let (cost, trial_cost) = (linear.mean_cost(), trial.mean_cost());
         if trial_cost < cost {
             (state, linear) = (candidate, trial);
-            lambda = if lambda < 1e-3 { 0.0 } else { lambda * 0.25 };
+            lambda = less(lambda);
             if 1.0 - trial_cost / cost < MIN_COST_DECREASE {
                 break;
             }
         } else if step.norm_squared() < 1e-10 {
             break;
         } else {
-            lambda = f64::max(4.0 * lambda, 0.05);
+            lambda = f64::max(4.0 * lambda, FIRST_LAMBDA);
         }
     }
     LevelResult {
@@ -206,9 +207,8 @@ fn update_scale(weighting: &mut SimilarityWeighting, linear: &SimilarityLineariz
         if count < 8 {
             continue;
         }
-        // Smaller scales would only make the weights of a rendered image reject everything.
-        let new = ((sum / count as f64).sqrt() as f32).clamp(0.1, 20.0);
-        changed |= (new / *scale - 1.0).abs() > 0.05;
+        let new = ((sum / count as f64).sqrt() as f32).clamp(SCALES[0], SCALES[1]);
+        changed |= (new / *scale - 1.0).abs() > MIN_SCALE_CHANGE;
         *scale = new;
     }
     changed
@@ -217,7 +217,7 @@ fn update_scale(weighting: &mut SimilarityWeighting, linear: &SimilarityLineariz
 fn solve(linear: &SimilarityLinearization, lambda: f64) -> Option<SVector<f64, UNKNOWNS>> {
     let mut h = linear.hessian;
     for i in 0..UNKNOWNS {
-        h[(i, i)] += lambda * h[(i, i)] + 1e-9;
+        h[(i, i)] += lambda * h[(i, i)] + DIAGONAL_FLOOR;
     }
     let step = h.cholesky()?.solve(&-linear.gradient);
     step.iter().all(|x| x.is_finite()).then_some(step)

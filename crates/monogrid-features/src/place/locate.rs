@@ -135,7 +135,8 @@ fn with_scale(
             let (forward, backward) = (c.forward.as_ref()?, c.backward.as_ref()?);
             let point = *b_from_a * forward.point;
             let error = forward.pinhole.project(&point) - forward.pixel;
-            let is_close = point.z > 1e-6 && error.norm() < 2.0 * config.pose.max_error_px;
+            let is_close =
+                point.z > Pinhole::MIN_DEPTH && error.norm() < 2.0 * config.pose.max_error_px;
             is_close.then(|| backward.point.z / point.z)
         })
         .collect();

@@ -210,7 +210,7 @@ struct Seen {
 
 fn project(projection: &Projection, second_from_first: &Sim3) -> Option<Seen> {
     let p = *second_from_first * projection.point;
-    if p.z < 1e-6 {
+    if p.z < Pinhole::MIN_DEPTH {
         return None;
     }
     let pinhole = &projection.pinhole;
@@ -231,7 +231,7 @@ fn project(projection: &Projection, second_from_first: &Sim3) -> Option<Seen> {
 fn depth_residual(c: &Correspondence, b_from_a: &Sim3) -> Option<(Vec7, f64, f64)> {
     let (forward, backward) = (c.forward.as_ref()?, c.backward.as_ref()?);
     let p = *b_from_a * forward.point;
-    if p.z < 1e-6 || backward.point.z < 1e-6 {
+    if p.z < Pinhole::MIN_DEPTH || backward.point.z < Pinhole::MIN_DEPTH {
         return None;
     }
     let row = left_update(&p).row(2).transpose() / p.z;

@@ -78,7 +78,7 @@ pub(super) fn search(
     for (landmark_idx, landmark) in landmarks.iter().enumerate() {
         let Some(landmark) = landmark else { continue };
         let point = *image_from_keyframe * landmark.point;
-        if point.z < 1e-6 {
+        if point.z < Pinhole::MIN_DEPTH {
             continue;
         }
         let pixel = pinhole.project(&point);

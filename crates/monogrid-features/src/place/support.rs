@@ -80,7 +80,7 @@ pub(super) fn support(
     let stride = known.div_ceil(MAX_COMPARED).max(1);
     for landmark in landmarks.iter().flatten().step_by(stride) {
         let point = *view_from_keyframe * landmark.point;
-        if point.z < 1e-6 {
+        if point.z < Pinhole::MIN_DEPTH {
             continue;
         }
         let pixel = pinhole.project(&point);

@@ -166,7 +166,7 @@ pub fn patch_warp(
         let ray = pinhole.unproject(pixel);
         let point =
             current_from_reference.rotation * ray + current_from_reference.translation * idepth;
-        (point.z > 1e-6).then(|| pinhole.project(&point))
+        (point.z > Pinhole::MIN_DEPTH).then(|| pinhole.project(&point))
     };
     let (half, mut columns) = (SIDE as f64 / 2.0, [Vec2::zeros(); 2]);
     for (column, axis) in columns.iter_mut().zip([Vec2::x(), Vec2::y()]) {

@@ -3,6 +3,7 @@
 use super::problem::{Problem, median};
 use super::refine::{Refined, uncertainty};
 use super::types::{TriangulatedPoint, TwoView, TwoViewConfig};
+use monogrid_geometry::median::SIGMA_OF_MEDIAN;
 
 /// A refined motion with its cost on the common scale.
 pub(super) struct Ranked<'a> {
@@ -41,7 +42,8 @@ pub(super) fn rank<'a>(
     };
     // the noise as the best motion sees it decides how much worse a rival may be
     let errors = (0..problem.len()).filter(|&i| best.inliers[i]);
-    let spread = 1.4826 * median(errors.map(|i| best.refined.errors_sq[i].sqrt()).collect());
+    let spread =
+        SIGMA_OF_MEDIAN * median(errors.map(|i| best.refined.errors_sq[i].sqrt()).collect());
     let sigma_px = spread.clamp(0.15 * config.sigma_px, config.sigma_px);
     let mut out: Vec<Ranked<'a>> = Vec::new();
     for candidate in evaluate(sigma_px) {

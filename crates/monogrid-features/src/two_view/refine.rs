@@ -7,6 +7,7 @@
 
 use super::problem::{Problem, median};
 use super::sampling::projection_jacobian;
+use monogrid_geometry::median::SIGMA_OF_MEDIAN;
 use monogrid_geometry::nalgebra::{Matrix2x5, Matrix3x2, SMatrix, SVector};
 use monogrid_geometry::{Se3, Vec2, Vec3, hat, rotation_exp};
 
@@ -83,7 +84,7 @@ const CAUCHY_95: f64 = 2.385;
 /// Robust deviation of the errors below three times the expected noise, px.
 fn noise_px(errors_sq: &[f64], sigma_px: f64) -> f64 {
     let errors = errors_sq.iter().map(|e| e.sqrt());
-    let deviation = 1.4826 * median(errors.filter(|e| *e < 3.0 * sigma_px).collect());
+    let deviation = SIGMA_OF_MEDIAN * median(errors.filter(|e| *e < 3.0 * sigma_px).collect());
     // in this order NaN (nothing is close) becomes a number
     deviation.max(0.15 * sigma_px).min(sigma_px)
 }

@@ -6,6 +6,7 @@ use super::five_point::five_point;
 use super::homography::four_point;
 use super::problem::Problem;
 use crate::Rng;
+use crate::ransac::samples_needed;
 use monogrid_geometry::nalgebra::{Matrix2x3, Rotation3};
 use monogrid_geometry::{Mat3, Rotation, Vec3, hat, rotation_exp};
 
@@ -35,11 +36,8 @@ fn truncated_cost(num: usize, limit: f64, give_up: f64, error_sq: impl Fn(usize)
     cost
 }
 
-/// Samples needed to see one without outliers with a probability of 0.999.
-fn samples_needed(inlier_ratio: f64, sample_size: i32) -> usize {
-    let clean = inlier_ratio.clamp(0.05, 0.99).powi(sample_size);
-    ((1.0f64 - 0.999).ln() / (1.0 - clean).ln()).ceil() as usize
-}
+/// Smallest share of inliers that samples are drawn for.
+const MIN_INLIER_RATIO: f64 = 0.05;
 
 /// Distinct essential matrices that explain many matches, best first.
 pub(super) fn essential_hypotheses(
@@ -71,7 +69,7 @@ pub(super) fn essential_hypotheses(
         }
         if let Some(best) = kept.first() {
             let inlier_ratio = 1.0 - best.cost / (limit_sq_px * num as f64);
-            needed = samples_needed(inlier_ratio, 5);
+            needed = samples_needed(inlier_ratio, MIN_INLIER_RATIO, 5);
         }
     }
     kept
@@ -129,7 +127,7 @@ pub(super) fn best_homography(
                 model: forward,
                 cost,
             });
-            needed = samples_needed(1.0 - cost / (limit_sq_px * num as f64), 4);
+            needed = samples_needed(1.0 - cost / (limit_sq_px * num as f64), MIN_INLIER_RATIO, 4);
         }
     }
     best

@@ -89,7 +89,7 @@ impl Probes {
 
 /// Whether a point is in the field of view of a camera.
 fn sees(camera: &KeyframeCamera, point: &Vec3) -> bool {
-    if point.z <= 1e-6 {
+    if point.z <= Pinhole::MIN_DEPTH {
         return false;
     }
     let pixel = camera.pinhole.project(point);

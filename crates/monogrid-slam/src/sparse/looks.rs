@@ -4,7 +4,7 @@ use super::ImageAdjustmentConfig;
 use crate::KeyframeId;
 use crate::map::Map;
 use monogrid_features::{PhotometricCost, PhotometricCostConfig, patch_warp};
-use monogrid_geometry::Vec2;
+use monogrid_geometry::{Pinhole, Vec2};
 use monogrid_graph::bundle::{Appearance, BundleProblem, Observation, PixelSlope};
 use monogrid_image::Image;
 
@@ -144,7 +144,7 @@ fn projected(problem: &BundleProblem, observation: usize) -> Option<Vec2> {
     let pose = |k: usize| &problem.keyframes[k].camera_from_world;
     let in_host = problem.pinhole.unproject(&point.pixel) / point.inverse_depth;
     let in_observer = *pose(observation.keyframe) * (pose(point.host).inverse() * in_host);
-    (in_observer.z > 1e-6).then(|| problem.pinhole.project(&in_observer))
+    (in_observer.z > Pinhole::MIN_DEPTH).then(|| problem.pinhole.project(&in_observer))
 }
 
 #[cfg(test)]

@@ -241,7 +241,7 @@ fn patch_source<'a>(
         Some(seen) => {
             let keyframe = &map[seen.keyframe];
             let in_camera = keyframe.camera_from_world * position(map, point, pinhole);
-            (in_camera.z > 1e-6).then(|| PatchSource {
+            (in_camera.z > Pinhole::MIN_DEPTH).then(|| PatchSource {
                 keyframe,
                 pixel: seen.pixel,
                 idepth: 1.0 / in_camera.z,
@@ -313,7 +313,7 @@ impl PointView<'_> {
     fn predict(&self, point: &SparsePoint, world_from_host: &Se3) -> Option<Vec2> {
         let position = *world_from_host * (self.pinhole.unproject(&point.pixel) / point.idepth);
         let in_camera = self.camera_from_world * position;
-        if in_camera.z <= 1e-6 {
+        if in_camera.z <= Pinhole::MIN_DEPTH {
             return None;
         }
         let pixel = self.pinhole.project(&in_camera);
@@ -440,7 +440,7 @@ fn find_in_one(
 ) -> Option<Vec2> {
     let older_from_newest = older.camera_from_world * newest.camera_from_world.inverse();
     let in_older = older_from_newest * (pinhole.unproject(&point.pixel) / point.idepth);
-    if in_older.z <= 1e-6 {
+    if in_older.z <= Pinhole::MIN_DEPTH {
         return None;
     }
     let predicted = pinhole.project(&in_older);

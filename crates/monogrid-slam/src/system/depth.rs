@@ -196,9 +196,13 @@ pub(super) fn published_depth(setup: &Setup, keyframe: &Keyframe) -> Option<Dept
     Some(depth)
 }
 
+/// Standard deviations of translation (keyframe units) and rotation (rad) where no covariance is
+/// known: those of an ordinary pose.
+const USUAL_POSE_SIGMAS: (f32, f32) = (0.005, 0.002);
+
 /// Standard deviations of translation (keyframe units) and rotation (rad) from a pose covariance.
 fn pose_sigmas(covariance: Option<&Mat6>) -> (f32, f32) {
-    covariance.map_or((0.005, 0.002), |c| {
+    covariance.map_or(USUAL_POSE_SIGMAS, |c| {
         let mean = |from: usize| {
             ((c[(from, from)] + c[(from + 1, from + 1)] + c[(from + 2, from + 2)]) / 3.0).sqrt()
         };

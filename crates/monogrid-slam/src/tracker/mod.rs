@@ -16,6 +16,11 @@ use monogrid_alignment::{Alignment, AlignmentConfig, Freedom, Motion, Reference,
 use monogrid_geometry::{Se3, Vec3, Vec6, rotation_exp};
 use monogrid_image::Pyramid;
 
+/// A turn is believed when this share of the visible points fits.
+const MIN_GOOD_OF_TURN: f32 = 0.3;
+/// Turns about every axis that are tried where the expected motion does not lead to the image, rad.
+const GUESSED_TURNS: [f64; 2] = [0.02, 0.05];
+
 /// A hypothesis is taken without looking at the others when on the coarsest level this share of
 /// the visible points is good.
 const ACCEPT_GOOD_OF_VISIBLE: f32 = 0.85;
@@ -192,7 +197,7 @@ impl<'a> Task<'a> {
         let start = Motion::from_pose(turn);
         let found = align(&reference, target, &start, Freedom::Rotation, &settings);
         let turn = found.motion.frame_from_keyframe;
-        (turn.is_finite() && found.good_of_visible > 0.3).then_some(turn)
+        (turn.is_finite() && found.good_of_visible > MIN_GOOD_OF_TURN).then_some(turn)
     }
 }
 
@@ -218,7 +223,7 @@ fn hypotheses(frame_from_last: &Se3, rotation: &Se3) -> Vec<Se3> {
         Se3::exp(&(twist * 2.0)),
         Se3::exp(&(twist * 0.5)),
     ];
-    for radius in [0.02, 0.05] {
+    for radius in GUESSED_TURNS {
         for x in [-1.0, 0.0, 1.0] {
             for y in [-1.0, 0.0, 1.0] {
                 for z in [-1.0, 0.0, 1.0] {
@@ -277,13 +282,15 @@ pub(crate) fn is_convincing(
         && alignment.motion.log_gain.abs() <= config.return_max_log_gain
 }
 
+/// Intervals that a motion is continued over at most: beyond them nothing is known about a hand.
+const MOST_INTERVALS: f64 = 3.0;
+
 /// The motion per nanosecond continued over another interval.
 pub(crate) fn extrapolate(frame_from_last: &Se3, interval_ns: i64, next_interval_ns: i64) -> Se3 {
     if interval_ns <= 0 {
         return Se3::identity();
     }
-    // Beyond three intervals nothing is known about a hand.
-    let factor = (next_interval_ns as f64 / interval_ns as f64).clamp(0.0, 3.0);
+    let factor = (next_interval_ns as f64 / interval_ns as f64).clamp(0.0, MOST_INTERVALS);
     let twist: Vec6 = frame_from_last.log() * factor;
     Se3::exp(&twist)
 }

@@ -6,7 +6,7 @@ use crate::policy::{MIN_POINT_INLIERS, do_points_decide};
 use crate::setup::Setup;
 use crate::sparse::{POSE_SIGMA_PX, PointSearch, Which, find_in_image, position};
 use monogrid_features::{AbsolutePoseConfig, PatchSearchConfig, PointPixel, absolute_pose};
-use monogrid_geometry::{Mat6, Se3, Vec6};
+use monogrid_geometry::{Mat6, Pinhole, Se3, Vec6};
 use monogrid_graph::{MapMatch, PoseOnlyConfig, PoseOnlySolution, PoseOutcome, refine_pose};
 use monogrid_image::Pyramid;
 
@@ -149,7 +149,7 @@ impl PointMap<'_> {
         let agrees = |seen: &&PointPixel| {
             let in_camera = *camera_from_world * seen.point_in_world;
             let error = self.setup.pinhole.project(&in_camera) - seen.pixel;
-            in_camera.z > 1e-6 && error.norm() <= max_px
+            in_camera.z > Pinhole::MIN_DEPTH && error.norm() <= max_px
         };
         seen.iter().filter(agrees).count()
     }
