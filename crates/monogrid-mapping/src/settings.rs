@@ -7,26 +7,29 @@ use monogrid_slam::settings::Settings;
 /// The settings of the section `[mapping]`.
 pub const MAPPING: Settings<MappingConfig> = settings! { mapping: MappingConfig, OLD,
     mapping.quality => "", [],
-        "How much work final maps get. `raw` takes the depth of the filter as it is, `fast` refines it. `default` adds \
-        depth of all pixels and completes it. `best` does so with finer steps and more keyframes.",
+        "How much work final maps get. `raw` takes the depth of the filter as it is, `fast` \
+         refines it. `default` adds depth of all pixels and completes it. `best` does so with \
+         finer steps and more keyframes.",
         "`default` costs four times the work of `fast`, `best` eight times.";
     mapping.resolution => "map units", [(1e-6, 1e6)],
         "Edge length of a cell.",
         "Smaller cells show more detail. They cost memory and time.";
     mapping.auto_resolution => "", [],
-        "Whether final maps of unknown scale choose their cell from the scene. The cell is a fiftieth of the median \
-        depth, or larger where the depth is less precise or the map would be too large. Naming a resolution turns it off.",
+        "Whether final maps of unknown scale choose their cell from the scene. The cell is a \
+         fiftieth of the median depth, or larger where the depth is less precise or the map would \
+         be too large. Naming a resolution turns it off.",
         "Turn it off to get the given resolution whatever the scale is.";
     mapping.sensor_model => "", [],
-        "Inverse sensor model: `thrun`, `andert`, `ideal`, or `none` for end points without free space.",
+        "Inverse sensor model: `thrun`, `andert`, `ideal`, or `none` for end points without free \
+         space.",
         "Change it to compare sensor models, as the thesis does.";
     mapping.buffer => "map units", [(1e-6, 1e6)],
-        "Thickness L of the occupied band of `thrun` and `ideal`. `\"auto\"` takes the larger of the cell's extent \
-        along the ray and `buffer_sigmas` standard deviations.",
+        "Thickness L of the occupied band of `thrun` and `ideal`. `\"auto\"` takes the larger of \
+         the cell's extent along the ray and `buffer_sigmas` standard deviations.",
         "Fix it to repeat the thesis' tables, or to make walls thicker.";
     mapping.buffer_sigmas => "standard deviations", [(0.862, 100.0)],
-        "Thickness of the band where `buffer` is `\"auto\"`. Below 0.861 a hit would be evidence against the obstacle. \
-        docs/sensor-parameters.md derives the default.",
+        "Thickness of the band where `buffer` is `\"auto\"`. Below 0.861 a hit would be evidence \
+         against the obstacle. docs/sensor-parameters.md derives the default.",
         "Raise it where the stated depth noise is too small.";
     mapping.thrun_form => "", [],
         "Form of the model `thrun`: `exact`, the closed form of the `thesis`, or `inverse-depth`.",
@@ -41,15 +44,19 @@ pub const MAPPING: Settings<MappingConfig> = settings! { mapping: MappingConfig,
         "Depth noise of the model `andert`: of a `monocular` or of a `stereo` camera.",
         "Use `stereo` for depth whose noise grows with the square of the range.";
     mapping.integration => "", [],
-        "How measurements update cells. `fused` makes one update per cell and keyframe, `rays` one per ray and cell.",
+        "How measurements update cells. `fused` makes one update per cell and keyframe, `rays` one \
+         per ray and cell.",
         "`rays` is the thesis' rule. `fused` is faster and does not count one keyframe many times.";
     mapping.update_limits => "log-odds", [(-100.0, -1e-6), (1e-6, 100.0)],
-        "Smallest and largest update of a cell by one keyframe. docs/sensor-parameters.md explains the default.",
+        "Smallest and largest update of a cell by one keyframe. docs/sensor-parameters.md explains \
+         the default.",
         "Widen them for sensors whose single measurements can be trusted.";
     mapping.updates_to_belief => "updates", [(0.0, 255.0), (0.0, 255.0)],
-        "Equal updates that bring a cell to the model's probability, for free and for occupied cells. More do not \
-        go farther, because keyframes share errors. 0 lets updates add up without end.",
-        "Lower them where cells must change after few keyframes. Use 0 for independent measurements.";
+        "Equal updates that bring a cell to the model's probability, for free and for occupied \
+         cells. More do not go farther, because keyframes share errors. 0 lets updates add up \
+         without end.",
+        "Lower them where cells must change after few keyframes. Use 0 for independent \
+         measurements.";
     mapping.tail_log_odds => "log-odds", [(0.0, 1.0)],
         "A ray ends behind the obstacle where the model states less than this.",
         "Lower it to thicken walls, raise it to thin them.";
@@ -66,11 +73,12 @@ pub const MAPPING: Settings<MappingConfig> = settings! { mapping: MappingConfig,
         "Radius of the local map around the camera.",
         "Match it to the distance over which a robot plans.";
     mapping.follow_threshold => "cells", [(0.0, 1e6)],
-        "The live global map redraws a keyframe when a correction moves a measurement by this much. Final maps have \
-        all poses exactly.",
+        "The live global map redraws a keyframe when a correction moves a measurement by this \
+         much. Final maps have all poses exactly.",
         "Raise it to save time while a run goes on.";
     mapping.sigma_mode => "", [],
-        "Meaning of a measurement's standard deviation: of the `range`, or `raw-inverse-depth` taken as a range.",
+        "Meaning of a measurement's standard deviation: of the `range`, or `raw-inverse-depth` \
+         taken as a range.",
         "`raw-inverse-depth` repeats a possible reading of the thesis.";
     mapping.pose_sigma => "map units", [(0.0, 1e6)],
         "Standard deviation of a keyframe's position relative to its neighbours.",
@@ -79,7 +87,8 @@ pub const MAPPING: Settings<MappingConfig> = settings! { mapping: MappingConfig,
         "Standard deviation of a keyframe's rotation relative to its neighbours.",
         "Raise it where distant walls appear twice. 0 trusts all poses.";
     mapping.body_radius => "map units", [(0.0, 1e6)],
-        "Cells this close to the camera's path are free in final maps. `\"auto\"` takes one cell, 0 switches it off.",
+        "Cells this close to the camera's path are free in final maps. `\"auto\"` takes one cell, \
+         0 switches it off.",
         "Set it to the radius of the robot that carried the camera.";
     mapping.depth_image_sigma => "share of the depth", [(1e-6, 10.0)],
         "Standard deviation of depth in given depth images.",
@@ -91,8 +100,8 @@ pub const MAPPING: Settings<MappingConfig> = settings! { mapping: MappingConfig,
         "Measurements with a larger standard deviation are not mapped. `inf` keeps all.",
         "Raise it to observe more of the surfaces, lower it for thinner walls.";
     mapping.filter.min_support => "pixels of 3x3", [(0.0, 9.0)],
-        "A measurement needs this many neighbours, itself included, that agree within two standard deviations. 0 and \
-        1 keep all.",
+        "A measurement needs this many neighbours, itself included, that agree within two standard \
+         deviations. 0 and 1 keep all.",
         "Lower it for thin structures, raise it against single wrong points.";
     mapping.filter.skip_keyframes => "keyframes", [(0.0, 1e6)],
         "This many first keyframes are not mapped.",
@@ -104,7 +113,8 @@ pub const MAPPING: Settings<MappingConfig> = settings! { mapping: MappingConfig,
         "Whether plain regions get the depth of a plane through their outline.",
         "Turn it off to map measured depth only.";
     mapping.planes.max_count => "planes", [(0.0, 1000.0)],
-        "Most large planes around a keyframe on which final maps average and continue depth. 0 switches this off.",
+        "Most large planes around a keyframe on which final maps average and continue depth. 0 \
+         switches this off.",
         "Turn it off outdoors, or where walls are not flat.";
     mapping.mesh.enabled => "", [],
         "Whether a run writes the surface as a mesh.",

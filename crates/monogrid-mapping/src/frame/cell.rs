@@ -53,7 +53,8 @@ impl SceneCell {
             false => "uncertain: the images show no parallax by themselves".to_owned(),
         };
         format!(
-            "cells of {} {unit}: the scene is {:.2} away (median), its depth {precision}; {because}",
+            "cells of {} {unit}: the scene is {:.2} away (median), its depth {precision}; \
+             {because}",
             self.edge, self.median_depth
         )
     }

@@ -436,8 +436,8 @@ impl LiveMaps {
     }
 }
 
-/// *large* and *global* of keyframes with the poses that they had first. The two have nothing to do with each other, so each gets
-/// half of the threads.
+/// *large* and *global* of keyframes with the poses that they had first. The two have nothing to do
+/// with each other, so each gets half of the threads.
 fn both_from_scratch(
     mapper: &Mapper,
     mut keyframes: Vec<(KeyframeScan, Sim3)>,
