@@ -18,7 +18,7 @@ pub struct ReadFrame {
     pub readout_ms: f64,
     /// How that was done, where it was.
     pub rectification: Option<Rectification>,
-    /// At [`Pace::Real`](crate::Pace::Real) when the camera had it: as long after the first frame was decoded as their
-    /// times say.
+    /// At [`Pace::Real`](crate::Pace::Real) when the camera had it: as long after the first frame
+    /// was decoded as their times say.
     pub due: Option<Instant>,
 }
