@@ -41,14 +41,24 @@ fn map_pixels<S: Copy, T>(samples: &[S], channels: usize, of_pixel: impl Fn(&[f3
 where
     f32: From<S>,
 {
-    let pixel = |pixel: &[S]| {
-        let mut values = [0.0; 4];
-        for (value, sample) in values.iter_mut().zip(pixel) {
-            *value = f32::from(*sample);
-        }
-        of_pixel(&values[..channels])
-    };
-    samples.chunks_exact(channels).map(pixel).collect()
+    match channels {
+        1 => map_chunks::<1, _, _>(samples, of_pixel),
+        2 => map_chunks::<2, _, _>(samples, of_pixel),
+        3 => map_chunks::<3, _, _>(samples, of_pixel),
+        _ => map_chunks::<4, _, _>(samples, of_pixel),
+    }
+}
+
+/// As [`map_pixels`], with a number of channels that the compiler knows: the loop over them is gone.
+fn map_chunks<const N: usize, S: Copy, T>(samples: &[S], of_pixel: impl Fn(&[f32]) -> T) -> Vec<T>
+where
+    f32: From<S>,
+{
+    let (pixels, _) = samples.as_chunks::<N>();
+    let pixels = pixels.iter();
+    pixels
+        .map(|pixel| of_pixel(&pixel.map(f32::from)))
+        .collect()
 }
 
 /// Decodes a PNG of at most these sides, which takes at most so much memory. Palettes become
