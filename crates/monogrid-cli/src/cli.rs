@@ -2,7 +2,7 @@
 
 use crate::commands::evaluate::{self, map as evaluate_map, truth};
 use crate::commands::maps::{distances, info, map, slice, tools};
-use crate::commands::runs::{batch, demo, merge_runs, report, rescale, run, view};
+use crate::commands::runs::{batch, demo, export, merge_runs, report, rescale, run, view};
 use crate::commands::shell;
 use crate::commands::sources::{calibrate, cameras, check, synth};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -137,6 +137,11 @@ pub enum Command {
             runs/kitchen-metric"
     )]
     Rescale(rescale::RescaleArgs),
+    /// A run for other programs: COLMAP, radiance fields and splats, modelling, surveying
+    #[command(
+        after_help = "Example: monogrid export runs/kitchen --to colmap --out kitchen-colmap"
+    )]
+    Export(export::ExportArgs),
     /// Runs of different days and cameras as one map, as far as they show the same places
     #[command(after_help = "Example: monogrid merge-runs runs/monday runs/tuesday --out runs/both")]
     MergeRuns(merge_runs::MergeRunsArgs),
@@ -172,7 +177,7 @@ pub enum Command {
     /// Count the cells whose state differs between two maps
     #[command(after_help = "Example: monogrid diff morning.ot evening.ot")]
     Diff(tools::DiffArgs),
-    /// Surface of a map as a triangle mesh: .ply or .glb
+    /// Surface of a map as a triangle mesh: .ply, .glb, .obj or .stl
     #[command(after_help = "Example: monogrid mesh kitchen.ot kitchen.glb")]
     Mesh(tools::MeshArgs),
     /// Map seen from above as .pgm and .yaml for nav2's map server

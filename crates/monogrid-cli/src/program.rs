@@ -41,6 +41,7 @@ fn execute(cli: &Cli) -> CommandResult {
         Command::View(args) => commands::runs::view::execute(args),
         Command::Map(args) => commands::maps::map::execute(args),
         Command::Report(args) => commands::runs::report::execute(args),
+        Command::Export(args) => commands::runs::export::execute(args),
         Command::Rescale(args) => commands::runs::rescale::execute(args),
         Command::MergeRuns(args) => commands::runs::merge_runs::execute(args),
         Command::Truth(args) => commands::evaluate::truth::execute(args),

@@ -8,6 +8,7 @@
 
 mod common;
 mod runs {
+    mod export;
     mod panics;
     mod pipeline;
     mod run;

@@ -21,7 +21,8 @@ pub enum ReportError {
     },
     /// The name of a mesh has no ending that is a format.
     #[error(
-        "cannot tell the format of the mesh from {}: expected a name that ends in .ply or .glb",
+        "cannot tell the format of the mesh from {}: expected a name that ends in .ply, .glb, .obj \
+         or .stl",
         path.display()
     )]
     MeshFormat {

@@ -28,7 +28,7 @@ fn text(path: &Path) -> &str {
 }
 
 /// The first 90 frames of the small sequence, mapped once.
-fn first_run() -> &'static Path {
+pub(super) fn first_run() -> &'static Path {
     static FOLDER: OnceLock<(tempfile::TempDir, PathBuf)> = OnceLock::new();
     let (_, folder) = FOLDER.get_or_init(|| {
         let dir = tempfile::tempdir().unwrap();

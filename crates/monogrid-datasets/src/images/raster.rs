@@ -49,7 +49,8 @@ where
     }
 }
 
-/// As [`map_pixels`], with a number of channels that the compiler knows: the loop over them is gone.
+/// As [`map_pixels`], with a number of channels that the compiler knows: the loop over them is
+/// gone.
 fn map_chunks<const N: usize, S: Copy, T>(samples: &[S], of_pixel: impl Fn(&[f32]) -> T) -> Vec<T>
 where
     f32: From<S>,

@@ -1,4 +1,5 @@
-//! Meshes as files: binary little-endian PLY, and glTF 2.0 in its binary form (`.glb`).
+//! Meshes as files: binary little-endian PLY, glTF 2.0 in its binary form (`.glb`), Wavefront OBJ
+//! and binary STL.
 
 use super::ColouredMesh;
 use crate::ReportError;
@@ -13,6 +14,11 @@ pub enum MeshFormat {
     Ply,
     /// Binary glTF with normals and colours, y up as its readers expect.
     Glb,
+    /// Wavefront OBJ with normals, and colours behind the coordinates of a vertex, as most readers
+    /// take them.
+    Obj,
+    /// Binary STL: triangles alone, without colour.
+    Stl,
 }
 
 impl MeshFormat {
@@ -22,6 +28,8 @@ impl MeshFormat {
         match extension.as_deref() {
             Some("ply") => Ok(Self::Ply),
             Some("glb") => Ok(Self::Glb),
+            Some("obj") => Ok(Self::Obj),
+            Some("stl") => Ok(Self::Stl),
             _ => Err(ReportError::MeshFormat {
                 path: path.to_owned(),
             }),
@@ -33,6 +41,8 @@ impl MeshFormat {
         match self {
             Self::Ply => write_ply(mesh, unit, out),
             Self::Glb => write_glb(mesh, unit, out),
+            Self::Obj => write_obj(mesh, unit, out),
+            Self::Stl => write_stl(mesh, unit, out),
         }
     }
 }
@@ -61,6 +71,61 @@ fn write_ply(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result
         out.write_all(triangle.map(u32::to_le_bytes).as_flattened())?;
     }
     Ok(())
+}
+
+fn write_obj(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result<()> {
+    let surface = &mesh.surface;
+    writeln!(out, "# lengths in {unit}")?;
+    for ([x, y, z], colour) in surface.vertices.iter().zip(&mesh.colours) {
+        let [red, green, blue] = colour.map(|value| f32::from(value) / 255.0);
+        writeln!(out, "v {x} {y} {z} {red:.4} {green:.4} {blue:.4}")?;
+    }
+    for [x, y, z] in &surface.normals {
+        writeln!(out, "vn {x:.5} {y:.5} {z:.5}")?;
+    }
+    for triangle in &surface.triangles {
+        // vertices are counted from one
+        let [a, b, c] = triangle.map(|index| index + 1);
+        writeln!(out, "f {a}//{a} {b}//{b} {c}//{c}")?;
+    }
+    Ok(())
+}
+
+/// Bytes before the triangles of an STL file, which say nothing to a program.
+const STL_HEADER: usize = 80;
+
+fn write_stl(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result<()> {
+    let surface = &mesh.surface;
+    // a header that begins with "solid" would be that of a text file
+    let mut header = format!("monogrid, lengths in {unit}").into_bytes();
+    header.resize(STL_HEADER, b' ');
+    let count = u32::try_from(surface.triangles.len()).map_err(io::Error::other)?;
+    out.write_all(&header)?;
+    out.write_all(&count.to_le_bytes())?;
+    for triangle in &surface.triangles {
+        let corners = triangle.map(|index| surface.vertices[index as usize]);
+        for values in [normal_of(&corners)].iter().chain(&corners) {
+            out.write_all(values.map(f32::to_le_bytes).as_flattened())?;
+        }
+        out.write_all(&[0, 0])?;
+    }
+    Ok(())
+}
+
+/// The unit normal of a triangle by the right-hand rule; 0 where it has no area.
+fn normal_of([a, b, c]: &[[f32; 3]; 3]) -> [f32; 3] {
+    let along = |end: &[f32; 3]| [0, 1, 2].map(|axis| end[axis] - a[axis]);
+    let (u, v) = (along(b), along(c));
+    let normal = [
+        u[1] * v[2] - u[2] * v[1],
+        u[2] * v[0] - u[0] * v[2],
+        u[0] * v[1] - u[1] * v[0],
+    ];
+    let length = normal.iter().map(|c| c * c).sum::<f32>().sqrt();
+    match length > 0.0 {
+        true => normal.map(|c| c / length),
+        false => [0.0; 3],
+    }
 }
 
 /// Magic number, version, and the kinds of the two chunks of a `.glb` (glTF 2.0 specification,
@@ -234,6 +299,28 @@ mod tests {
             colours: Vec::new(),
         };
         assert!(written(MeshFormat::Glb, &empty).len() < 200);
+    }
+
+    #[test]
+    fn an_obj_counts_vertices_from_one_and_has_colours() {
+        let obj = String::from_utf8(written(MeshFormat::Obj, &triangle())).unwrap();
+        let lines: Vec<&str> = obj.lines().collect();
+        assert_eq!(lines[1], "v 0 0 1 1.0000 0.0000 0.7373");
+        assert_eq!(lines[4], "vn 0.00000 0.00000 1.00000");
+        assert_eq!(lines[7..], ["f 1//1 2//2 3//3"]);
+    }
+
+    #[test]
+    fn an_stl_has_normals_that_follow_from_the_corners() {
+        let stl = written(MeshFormat::Stl, &triangle());
+        assert_eq!(stl.len(), 80 + 4 + 50);
+        assert!(!stl.starts_with(b"solid"));
+        assert_eq!(stl[80..84], 1u32.to_le_bytes());
+        let number = |at: usize| f32::from_le_bytes(stl[at..at + 4].try_into().unwrap());
+        let numbers: Vec<f32> = (84..132).step_by(4).map(number).collect();
+        // the corners go clockwise as seen from above
+        assert_eq!(numbers[..3], [0.0, 0.0, -1.0]);
+        assert_eq!(numbers[6..9], [2.0, 0.0, 1.0]);
     }
 
     #[test]

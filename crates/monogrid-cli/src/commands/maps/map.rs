@@ -37,7 +37,7 @@ pub struct MapArgs {
     pub png: Option<PathBuf>,
     /// Write the surface of the map as well; in the colours of the keyframes where the map is made
     /// of a recording
-    #[arg(long, value_name = "OUT.{ply,glb}")]
+    #[arg(long, value_name = "OUT.{ply,glb,obj,stl}")]
     pub mesh: Option<PathBuf>,
     #[command(flatten)]
     pub mapping: MappingArgs,

@@ -2,6 +2,7 @@
 
 pub mod batch;
 pub mod demo;
+pub mod export;
 pub mod merge_runs;
 pub mod report;
 pub mod rescale;

@@ -1,0 +1,122 @@
+//! `monogrid export`: a run as files of other programs.
+//!
+//! Images with poses and points for photogrammetry and radiance fields ([`colmap`], [`nerf`]), the
+//! surface for modelling programs and printers, and the cloud for programs that survey
+//! ([`files`]). All lengths and axes are those of the maps of the run.
+
+mod colmap;
+mod files;
+mod images;
+mod nerf;
+mod reconstruction;
+#[cfg(test)]
+mod tests;
+
+use clap::{Args, ValueEnum};
+use monogrid_app::args::WriteArgs;
+use monogrid_app::output::{Inputs, OutputFile, OutputFolder};
+use monogrid_app::process::failure::{CommandResult, Failure};
+use monogrid_app::run::sessions::{Source, files_of};
+use reconstruction::Reconstruction;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+/// `monogrid export`.
+#[derive(Debug, Args)]
+pub struct ExportArgs {
+    /// Folder of a run
+    pub run: PathBuf,
+    /// What it becomes
+    #[arg(long, value_enum, value_name = "FORMAT")]
+    pub to: Target,
+    /// Folder (colmap, nerf) or file (obj, stl, las) to write
+    #[arg(long, value_name = "PATH")]
+    pub out: PathBuf,
+    #[command(flatten)]
+    pub write: WriteArgs,
+}
+
+/// Formats that a run is exported to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Target {
+    /// Folder: images, and sparse/0 as COLMAP's model, binary and text
+    Colmap,
+    /// Folder: images, transforms.json and points for nerfstudio, instant-ngp and Gaussian splats
+    Nerf,
+    /// File: the surface with colours
+    Obj,
+    /// File: the surface as bare triangles
+    Stl,
+    /// File: the semi-dense cloud with colours, for programs that survey
+    Las,
+}
+
+/// Writes a run in another format.
+pub fn execute(args: &ExportArgs) -> CommandResult {
+    match args.to {
+        Target::Colmap | Target::Nerf => export_images(args),
+        Target::Obj | Target::Stl | Target::Las => export_file(args),
+    }
+}
+
+fn inputs_of(run: &Path) -> Inputs {
+    let own = [files::MESH, files::CLOUD].map(|name| run.join(name));
+    Inputs::of("the run", run)
+        .and_all("the run", own)
+        .and_all("the run", files_of(run))
+}
+
+/// Images with poses, and the points that they see.
+fn export_images(args: &ExportArgs) -> CommandResult {
+    let source = Source::find(&args.run)?;
+    let recording = source.read()?;
+    let scene = Reconstruction::new(&recording, &source.file)?;
+    let folder = OutputFolder::replace(&args.out, args.write.force, &inputs_of(&args.run))?;
+    images::write(&folder, &recording, &scene)?;
+    match args.to {
+        Target::Colmap => colmap::write(&folder, &scene)?,
+        _ => nerf::write(&folder, &scene, &source.folder_of_run())?,
+    }
+    let report = json!({
+        "images": scene.views.len(),
+        "cameras": scene.cameras.len(),
+        "points": scene.points.len(),
+        "observations": scene.num_observations(),
+        "mean_reprojection_error_px": scene.mean_error(),
+    });
+    args.write.json.print(&report, || {
+        let (out, images) = (args.out.display(), scene.views.len());
+        match scene.mean_error() {
+            Some(error) => println!(
+                "{out}: {images} images, {} points seen {} times, mean reprojection error \
+                 {error:.2} px",
+                scene.points.len(),
+                scene.num_observations()
+            ),
+            None => println!(
+                "{out}: {images} images; the recording holds no points that several of them see"
+            ),
+        }
+    })
+}
+
+/// One file made of one file of the run.
+fn export_file(args: &ExportArgs) -> CommandResult {
+    let output = OutputFile::new(&args.out, args.write.force, &inputs_of(&args.run))?;
+    let (what, count) = match args.to {
+        Target::Las => ("points", files::write_las(&args.run, &output)?),
+        target => ("triangles", files::write_mesh(&args.run, &output, target)?),
+    };
+    let report = json!({ what: count });
+    args.write.json.print(&report, || {
+        println!("{}: {count} {what}", args.out.display());
+    })
+}
+
+/// What is said of a run that lacks a file.
+fn missing(path: &Path, error: &std::io::Error) -> Failure {
+    Failure::input(format!(
+        "{} cannot be read: {error}; expected the output folder of a finished run",
+        path.display()
+    ))
+}

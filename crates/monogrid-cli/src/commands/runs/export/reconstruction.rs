@@ -1,0 +1,179 @@
+//! The keyframes of a recording as images with poses, and the points that they see.
+
+use super::images::ColourOf;
+use monogrid_app::process::failure::Failure;
+use monogrid_app::run::align::Align;
+use monogrid_app::run::sessions::frame_beside;
+use monogrid_datasets::{RecordedCamera, RecordedKeyframe, RecordedPoint, Recording};
+use monogrid_geometry::{Se3, Sim3, Vec2, Vec3};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Images with poses and points, in the frame of maps.
+#[derive(Debug)]
+pub struct Reconstruction {
+    /// Pinhole cameras without distortion; the centre of the top-left pixel is (0, 0).
+    pub cameras: Vec<RecordedCamera>,
+    pub views: Vec<View>,
+    pub points: Vec<Point>,
+}
+
+/// An image with its pose.
+#[derive(Debug)]
+pub struct View {
+    /// Name of the image file in the folder of images.
+    pub name: String,
+    /// Index of the keyframe in the recording.
+    pub keyframe: usize,
+    /// Index of its camera.
+    pub camera: usize,
+    pub camera_from_map: Se3,
+    /// Where it shows points, px, and their indices.
+    pub features: Vec<(Vec2, usize)>,
+}
+
+/// A point that at least two images show.
+#[derive(Debug)]
+pub struct Point {
+    /// Place in the frame of maps.
+    pub place: Vec3,
+    pub colour: [u8; 3],
+    /// Mean distance between where images show it and where it projects to, px.
+    pub error: f64,
+    /// Index of each view that shows it, and of the feature in it.
+    pub track: Vec<(usize, usize)>,
+}
+
+impl Reconstruction {
+    /// Of the keyframes with a pose and an image, and the points of the sparse layer.
+    pub fn new(recording: &Recording, file: &Path) -> Result<Self, Failure> {
+        let map_from_world = match frame_beside(file)? {
+            Some(Align::Map { map_from_world, .. }) => map_from_world,
+            _ => Sim3::identity(),
+        };
+        let mut scene = Self {
+            cameras: Vec::new(),
+            views: Vec::new(),
+            points: Vec::new(),
+        };
+        let mut view_of = BTreeMap::new();
+        for (index, keyframe) in recording.keyframes.iter().enumerate() {
+            if let Some(world_from_keyframe) = keyframe.world_from_keyframe
+                && keyframe.image.is_some()
+            {
+                let map_from_camera = map_from_world * world_from_keyframe;
+                view_of.insert(keyframe.id, scene.views.len());
+                scene.add_view(index, keyframe, &map_from_camera.to_se3());
+            }
+        }
+        if scene.views.is_empty() {
+            return Err(Failure::input(format!(
+                "{} holds no keyframe with an image and a pose: tracking never started, or its \
+                 images were not recorded",
+                file.display()
+            )));
+        }
+        let points = recording.continuation.iter().flat_map(|c| &c.points);
+        let mut points: Vec<&RecordedPoint> = points.collect();
+        // so that each image is decoded once
+        points.sort_by_key(|point| point.host);
+        let mut colours = ColourOf::default();
+        for point in points {
+            let Some(host) = view_of.get(&point.host) else {
+                continue;
+            };
+            let keyframe = &recording.keyframes[scene.views[*host].keyframe];
+            if let Some(place) = place_of(point, keyframe, &map_from_world) {
+                let colour = colours.at(keyframe, point.pixel);
+                scene.add_point(point, &view_of, place, colour);
+            }
+        }
+        Ok(scene)
+    }
+
+    fn add_view(&mut self, index: usize, keyframe: &RecordedKeyframe, map_from_camera: &Se3) {
+        let known = self.cameras.iter().position(|c| *c == keyframe.camera);
+        let camera = known.unwrap_or_else(|| {
+            self.cameras.push(keyframe.camera);
+            self.cameras.len() - 1
+        });
+        let ending = match keyframe.colour {
+            Some(_) => "jpg",
+            None => "png",
+        };
+        self.views.push(View {
+            name: format!("{:05}.{ending}", keyframe.id),
+            keyframe: index,
+            camera,
+            camera_from_map: map_from_camera.inverse(),
+            features: Vec::new(),
+        });
+    }
+
+    /// Adds a point with the images in which it lies before the camera, if these are two or more.
+    fn add_point(
+        &mut self,
+        point: &RecordedPoint,
+        view_of: &BTreeMap<u32, usize>,
+        place: Vec3,
+        colour: [u8; 3],
+    ) {
+        let own = [(point.host, point.pixel)];
+        let seen: Vec<(usize, Vec2, f64)> = own
+            .iter()
+            .chain(&point.observations)
+            .filter_map(|(keyframe, [x, y])| {
+                let view = *view_of.get(keyframe)?;
+                let at = Vec2::new(*x, *y);
+                Some((view, at, self.error_at(view, &place, &at)?))
+            })
+            .collect();
+        if seen.len() < 2 {
+            return;
+        }
+        let index = self.points.len();
+        let errors: f64 = seen.iter().map(|(_, _, error)| error).sum();
+        let track = seen.iter().map(|(view, at, _)| {
+            let features = &mut self.views[*view].features;
+            features.push((*at, index));
+            (*view, features.len() - 1)
+        });
+        let track = track.collect();
+        self.points.push(Point {
+            place,
+            colour,
+            error: errors / seen.len() as f64,
+            track,
+        });
+    }
+
+    /// Distance between where a view shows a point and where that projects to, px; `None` behind
+    /// the camera.
+    fn error_at(&self, view: usize, place: &Vec3, at: &Vec2) -> Option<f64> {
+        let view = &self.views[view];
+        let seen = view.camera_from_map * *place;
+        let projected = || self.cameras[view.camera].pinhole.project(&seen);
+        (seen.z > 0.0).then(|| (projected() - at).norm())
+    }
+
+    /// How often images show points.
+    pub fn num_observations(&self) -> usize {
+        self.points.iter().map(|point| point.track.len()).sum()
+    }
+
+    /// Mean over points, px; none without points.
+    pub fn mean_error(&self) -> Option<f64> {
+        let sum: f64 = self.points.iter().map(|point| point.error).sum();
+        (!self.points.is_empty()).then(|| sum / self.points.len() as f64)
+    }
+}
+
+/// Where a point is in the frame of maps; `None` where its depth says nothing.
+fn place_of(point: &RecordedPoint, host: &RecordedKeyframe, map_from_world: &Sim3) -> Option<Vec3> {
+    let [idepth, ..] = point.idepth;
+    let [x, y] = point.pixel;
+    let in_host = host.camera.pinhole.unproject(&Vec2::new(x, y)) / idepth;
+    // depth is in units of the world
+    let place = *map_from_world * (host.world_from_keyframe?.to_se3() * in_host);
+    (idepth > 0.0 && place.iter().all(|c| c.is_finite())).then_some(place)
+}

@@ -1,0 +1,82 @@
+#!/usr/bin/env python3
+"""What independent readers say of the exports of a run.
+
+    scripts/exports.py RUN [PROGRAM]
+
+Exports the run in every format into a temporary folder and opens each with a reader that is not
+ours: COLMAP's model with pycolmap, OBJ and STL with trimesh, LAS with laspy; the cameras of
+transforms.json are compared with those of pycolmap. Needs `pip install pycolmap trimesh laspy`.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import laspy
+import numpy
+import pycolmap
+import trimesh
+
+
+def main():
+    run = Path(sys.argv[1])
+    program = sys.argv[2] if len(sys.argv) > 2 else "target/release/monogrid"
+    with tempfile.TemporaryDirectory() as folder:
+        out = {to: Path(folder) / f"out.{to}" for to in ("colmap", "nerf", "obj", "stl", "las")}
+        for to, path in out.items():
+            command = [program, "export", run, "--to", to, "--out", path]
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        model = pycolmap.Reconstruction(out["colmap"] / "sparse/0")
+        errors = reprojection_errors(model)
+        print(
+            f"pycolmap: {len(model.images)} images, {len(model.points3D)} points, reprojection error "
+            f"{errors.mean():.2f} px on average, {numpy.median(errors):.2f} px in the median"
+        )
+        assert errors.mean() < 1.0
+        # the text says the same
+        for name in ("cameras", "images", "points3D"):
+            (out["colmap"] / f"sparse/0/{name}.bin").unlink()
+        text = pycolmap.Reconstruction(out["colmap"] / "sparse/0")
+        assert text.summary() == model.summary(), text.summary()
+        compare_cameras(model, json.loads((out["nerf"] / "transforms.json").read_text()))
+        original = trimesh.load(run / "mesh.ply", process=False)
+        for to in ("obj", "stl"):
+            mesh = trimesh.load(out[to], process=False)
+            assert len(mesh.faces) == len(original.faces)
+            # numbers of text and of binary files differ in their last digits
+            assert numpy.allclose(mesh.bounds, original.bounds, atol=1e-4)
+            print(f"trimesh, {to}: {len(mesh.faces)} triangles, area {mesh.area:.3f} ({original.area:.3f} before)")
+        cloud, points = trimesh.load(run / "cloud.ply"), laspy.read(out["las"])
+        assert numpy.allclose(points.xyz, cloud.vertices, atol=1e-3)
+        assert (numpy.stack([points.red, points.green, points.blue], 1) // 257 == cloud.colors[:, :3]).all()
+        print(f"laspy: {len(points)} points")
+
+
+def reprojection_errors(model):
+    errors = []
+    for image in model.images.values():
+        camera = model.cameras[image.camera_id]
+        for feature in image.points2D:
+            if feature.has_point3D():
+                place = model.points3D[feature.point3D_id].xyz
+                at = camera.img_from_cam(image.cam_from_world() * place)
+                errors.append(numpy.linalg.norm(at - feature.xy))
+    return numpy.array(errors)
+
+
+def compare_cameras(model, transforms):
+    by_name = {image.name: image for image in model.images.values()}
+    for frame in transforms["frames"]:
+        image = by_name[Path(frame["file_path"]).name]
+        # readers of transforms.json look along -z, with y up
+        world_from_camera = numpy.array(frame["transform_matrix"]) @ numpy.diag([1, -1, -1, 1])
+        expected = image.cam_from_world().inverse().matrix()
+        assert numpy.allclose(world_from_camera[:3], expected, atol=1e-9)
+    print(f"transforms.json: {len(transforms['frames'])} cameras as pycolmap reads them")
+
+
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
+main()
