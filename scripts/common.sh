@@ -62,4 +62,8 @@ kept() {
 }
 
 # evaluated FOLDER SOURCE: the trajectory of a kept run against the truth, in FOLDER.ate; false where there is nothing to compare.
-evaluated() { kept "$1.ate" "$bin" evaluate trajectory "$1/trajectory.txt" "$2/groundtruth.txt" --json 2>/dev/null; }
+evaluated() {
+  local truth=$2/groundtruth.txt
+  [ -f "$truth" ] || truth=$2
+  kept "$1.ate" "$bin" evaluate trajectory "$1/trajectory.txt" "$truth" --json 2>/dev/null
+}

@@ -6,7 +6,7 @@
 #   scripts/maps.sh validation -- default no-planes='--set mapping.planes.max_count=0'
 #   scripts/maps.sh validation -- default before='@/tmp/before/monogrid'
 #
-# A scene is a folder in TUM layout with poses and depth images. Each is tracked once, from the
+# A scene is a folder with poses and depth images, in TUM or 7-Scenes layout. Each is tracked once, from the
 # depth of its first frame, and its recording is mapped once for every variant: by the program, or
 # by the one after an @, with the options of `monogrid evaluate map` behind it. Without variants it
 # is `default` alone. Tables: each variant scene by scene, then the paired differences of the others
@@ -50,7 +50,7 @@ found() {
   IFS=: read -ra folders <<<"$places"
   for name in "$@"; do
     for place in "${folders[@]}"; do
-      if [ -f "$place/$name/groundtruth.txt" ]; then
+      if [ -d "$place/$name" ]; then
         echo "$place/$name"
         continue 2
       fi
@@ -103,7 +103,7 @@ report() {
 
 # measured SCENE: tracks it and maps it for all variants, what is not there yet.
 measured() {
-  local name run truth=$1/truth.ot align=(--align "gt:$1/groundtruth.txt") words
+  local name run truth=$1/truth.ot align=(--align "gt:$1") words
   name=$(basename "$1")
   run=$results/$name
   kept_run "$run" run "$1" --seed-depth dataset --threads 1

@@ -6,7 +6,7 @@
 
 use crate::process::failure::{Classify, Failure};
 use crate::run::sensed::SensedFrame;
-use monogrid_datasets::{TimedPose, read_sim3, read_trajectory};
+use monogrid_datasets::{Dataset, SourceOptions, TimedPose, read_sim3, read_trajectory};
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
 use monogrid_geometry::{Se3, Sim3, Vec3};
 use monogrid_mapping::{
@@ -248,6 +248,23 @@ fn level(up_in_world: &Vec3, floor: Option<&Floor>, said: &str, from: &'static s
     }
 }
 
+/// The poses that a result is compared with: of a trajectory file, or those that lie in the folder
+/// of a data set.
+pub fn read_reference(path: &Path) -> Result<Vec<TimedPose>, Failure> {
+    if !path.is_dir() {
+        return read_trajectory(path).bad_input();
+    }
+    let dataset = Dataset::open(path, SourceOptions::default()).bad_input()?;
+    let poses = dataset.reference_trajectory().bad_input()?;
+    poses.ok_or_else(|| {
+        Failure::input(format!(
+            "{} holds no poses: expected groundtruth.txt or those of its layout, or a trajectory \
+             file",
+            path.display()
+        ))
+    })
+}
+
 impl Align {
     /// Reads what `gt:FILE` or `sim3:FILE` names, else what is up.
     pub fn parse(argument: Option<&str>, up: Up) -> Result<Self, Failure> {
@@ -257,7 +274,7 @@ impl Align {
         match argument.split_once(':') {
             Some(("gt", file)) => Ok(Self::Trajectory {
                 path: file.into(),
-                poses: read_trajectory(Path::new(file)).bad_input()?,
+                poses: read_reference(Path::new(file))?,
             }),
             Some(("sim3", file)) => Ok(Self::Sim3 {
                 base: Box::new(Self::Level(up)),

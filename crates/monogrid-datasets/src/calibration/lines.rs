@@ -52,6 +52,14 @@ fn parse_camera(
         return kitti;
     }
     let values = numbers(first.1).ok_or_else(|| unknown(path, first))?;
+    if let Some(pinhole) = intrinsic_matrix(lines) {
+        let size = images.size.ok_or_else(|| {
+            let found = "a matrix of intrinsics without the size of the images";
+            DatasetError::content(path, found, "images beside it, to take the size from")
+        })?;
+        let format = "matrix of the intrinsics";
+        return Ok(Calibration::draft(size, pinhole, Distortion::None, format));
+    }
     match (values.len(), lines.len()) {
         (5 | 8, 2..) => parse_lsd(&values, lines, path),
         (6 | 7 | 10 | 11, 1) => one_line(&values, path, first),
@@ -77,6 +85,23 @@ pub(crate) fn camera_from_numbers(
 }
 
 /// `fx fy cx cy [omega | k1 k2 p1 p2 [k3]] width height`, in pixels.
+/// The camera of a matrix K, of three rows and columns or of four: `fx 0 cx`, `0 fy cy`, `0 0 1`.
+/// An oblique one (`K[0][1]` is not 0) is none.
+fn intrinsic_matrix(lines: &[(usize, &str)]) -> Option<Pinhole> {
+    let size = lines.len();
+    let rows: Vec<Vec<f64>> = lines.iter().filter_map(|(_, line)| numbers(line)).collect();
+    let is_square = matches!(size, 3 | 4) && rows.len() == size;
+    let is_square = is_square && rows.iter().all(|row| row.len() == size);
+    let is_fixed = |(row, column)| !matches!((row, column), (0, 0 | 2) | (1, 1 | 2));
+    let entries = (0..size).flat_map(|row| (0..size).map(move |column| (row, column)));
+    let is_of_camera = |(row, column): (usize, usize)| {
+        let expected = if row == column { 1.0 } else { 0.0 };
+        (rows[row][column] - expected).abs() < 1e-9
+    };
+    let is_camera = is_square && entries.filter(|entry| is_fixed(*entry)).all(is_of_camera);
+    is_camera.then(|| Pinhole::new(rows[0][0], rows[1][1], rows[0][2], rows[1][2]))
+}
+
 fn one_line(values: &[f64], path: &Path, line: (usize, &str)) -> Result<Calibration, DatasetError> {
     let &[ref intrinsics @ .., width, height] = values else {
         return Err(unknown(path, line));

@@ -4,6 +4,8 @@
 //!
 //! * our own TOML (see [`toml_format`](Calibration::to_toml) for an example);
 //! * one line `fx fy cx cy [omega | k1 k2 p1 p2 [k3]] width height`, in pixels;
+//! * a matrix K of three or four rows (ScanNet, 7-Scenes as others cut it; needs the size of the
+//!   images);
 //! * LSD-SLAM's and PTAM's files of four lines (5 relative numbers with the FOV model's omega, or 8
 //!   numbers of OpenCV's model), and DSO's with a model name in front;
 //! * YAML of EuRoC, Kalibr, ROS (`camera_info`, and a `CameraInfo` as `topic echo` prints it),

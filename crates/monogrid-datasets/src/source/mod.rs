@@ -338,7 +338,7 @@ fn kitti_raw_calibration(root: &Path, layout: Layout) -> Option<PathBuf> {
 }
 
 /// Names under which other programs keep calibrations, besides ours.
-const CALIBRATION_NAMES: [&str; 14] = [
+const CALIBRATION_NAMES: [&str; 18] = [
     "calibration.yaml",
     "calibration.yml",
     "calibration.json",
@@ -353,6 +353,10 @@ const CALIBRATION_NAMES: [&str; 14] = [
     "camchain.yaml",
     "camera_info.yaml",
     "ost.yaml",
+    "intrinsics.txt",
+    "intrinsics.K.txt",
+    "camera-intrinsics.txt",
+    "intrinsic_color.txt",
 ];
 
 /// Where the readings of an inertial sensor are looked for.

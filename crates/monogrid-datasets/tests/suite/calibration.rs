@@ -159,6 +159,27 @@ fn kalibr_and_ros_yaml() {
 }
 
 #[test]
+fn a_matrix_of_intrinsics_takes_the_size_of_the_images() {
+    let three = "6.15e+02 0 298.4\n0 615.2 247.5\n0 0 1\n";
+    let four = "615 0 298.4 0\n0 615.2 247.5 0\n0 0 1 0\n0 0 0 1\n";
+    let path = Path::new("intrinsics.K.txt");
+    for text in [three, four] {
+        let read = Calibration::parse(text, path, Some((640, 480))).unwrap();
+        assert_pinhole(&read.camera, [615.0, 615.2, 298.4, 247.5]);
+        assert_eq!((read.camera.width, read.camera.height), (640, 480));
+        let error = Calibration::parse(text, path, None).unwrap_err();
+        assert!(error.to_string().contains("size of the images"), "{error}");
+    }
+    // a turned or oblique camera is none
+    for wrong in [
+        three.replace("0 615.2", "9 615.2"),
+        three.replace("02 0", "02 1.5"),
+    ] {
+        assert!(Calibration::parse(&wrong, path, Some((640, 480))).is_err());
+    }
+}
+
+#[test]
 fn kitti_matrices_with_and_without_labels() {
     let row = "718.856 0 607.1928 0 0 718.856 185.2157 0 0 0 1 0";
     for text in [row.to_owned(), format!("P0: {row}\nP1: {row}\nTr: {row}\n")] {

@@ -11,7 +11,7 @@ use monogrid_app::input::depth_images::{depth_calibration, registered_depth};
 use monogrid_app::output::{Inputs, OutputFile};
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
 use monogrid_app::recorded::{by_camera, cameras_of, scans_of};
-use monogrid_app::run::align::stamped_all;
+use monogrid_app::run::align::{read_reference, stamped_all};
 use monogrid_app::run::sessions::Source;
 use monogrid_datasets::{
     Dataset, DepthRegistration, RecordedCamera, Recording, Scale, SourceOptions, format_sim3,
@@ -45,7 +45,7 @@ pub enum AlignMode {
 pub struct EvaluateTrajectoryArgs {
     /// Estimated trajectory, TUM format
     pub estimate: PathBuf,
-    /// True trajectory, TUM format (or EuRoC .csv)
+    /// True trajectory, TUM format (or EuRoC .csv), or a data set with poses
     pub truth: PathBuf,
     /// How the estimate is aligned to the truth
     #[arg(long, value_enum, default_value = "sim3")]
@@ -93,7 +93,7 @@ pub fn trajectory(args: &EvaluateTrajectoryArgs) -> CommandResult {
     let file = |path: &PathBuf| OutputFile::new(path, args.force, &inputs);
     let sim3 = args.write_sim3.as_ref().map(file).transpose()?;
     let estimate = read_trajectory(&args.estimate).bad_input()?;
-    let truth = read_trajectory(&args.truth).bad_input()?;
+    let truth = read_reference(&args.truth)?;
     let folder = args.estimate.parent();
     let frame_times = folder.and_then(|folder| frame_times_ns(&folder.join("frames.csv")));
     let config = TrajectoryConfig {

@@ -4,7 +4,7 @@ use monogrid_app::input::depth_images::registered_depth;
 use monogrid_app::process::failure::{Classify, Failure};
 use monogrid_datasets::{
     Dataset, DepthCalibration, DepthEntry, DepthRegistration, PixelBudget, SourceOptions,
-    TimedPose, read_trajectory,
+    TimedPose, read_gray, read_trajectory,
 };
 use monogrid_geometry::{Pinhole, Se3};
 use monogrid_image::{GrayImage, Undistorter, WorkingSize};
@@ -44,7 +44,11 @@ impl PosedDepthFolder {
                 folder.display()
             )));
         }
-        let colour = dataset.calibration(None).bad_input()?.map(|c| c.camera);
+        // not every calibration says the size of its images
+        let first = dataset.frames.first().map(|frame| read_gray(&frame.path));
+        let size = first.transpose().bad_input()?;
+        let size = size.map(|image| (image.width(), image.height()));
+        let colour = dataset.calibration(size).bad_input()?.map(|c| c.camera);
         let own = match depth_calibration_file {
             Some(path) => DepthCalibration::read(path).map(Some),
             None => dataset.depth_calibration(),
