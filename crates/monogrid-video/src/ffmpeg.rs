@@ -7,8 +7,11 @@
 use crate::program::Program;
 use crate::turn::Turn;
 use crate::y4m::Y4mReader;
-use crate::{Elsewhere, MIRRORED, Missing, Opened, VideoError, VideoFrame};
+use crate::{
+    Elsewhere, MAX_PIXELS, MIRRORED, Missing, Opened, VideoError, VideoFrame, stored_bytes,
+};
 use std::io::{BufRead, BufReader};
+use std::path::Path;
 use std::process::{ChildStderr, ChildStdout, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::JoinHandle;
@@ -62,6 +65,22 @@ const LIMITED_SCHEMES: [&str; 6] = ["http", "https", "rtmp", "rtmps", "tcp", "tl
 /// better message.
 const SILENCE_US: &str = "60000000";
 
+/// Threads of a decoder: each holds pictures of its own, so that on a large computer a small file
+/// would take gigabytes.
+const THREADS: &str = "2";
+
+/// Memory for data of ffmpeg: what any file may take, and more for each of its bytes. A stream may
+/// ask for sixteen pictures of any size to be held: of 8K, which takes 450 MB with one, they would
+/// be 1.3 GB.
+const ANY_BYTES: u64 = 320 << 20;
+const MORE_BYTES: u64 = 64;
+
+/// Most memory for data that ffmpeg may take for a file.
+fn most_bytes(name: &str, live: bool) -> Option<u64> {
+    let stored = stored_bytes(Path::new(name)).filter(|_| !live);
+    stored.map(|bytes| bytes.saturating_mul(MORE_BYTES).saturating_add(ANY_BYTES))
+}
+
 /// Starts ffmpeg on a file or address.
 pub(crate) fn open(
     name: &str,
@@ -71,7 +90,7 @@ pub(crate) fn open(
     let live = name.contains("://");
     let found = &elsewhere.found;
     let mut command = command(name, live, elsewhere.is_mirrored);
-    let pipes = program.start(&mut command, |child| {
+    let pipes = program.start(&mut command, most_bytes(name, live), |child| {
         (child.stdout.take(), child.stderr.take())
     });
     let (stdout, stderr) = pipes.map_err(|e| match e.kind() {
@@ -161,6 +180,7 @@ fn command(name: &str, live: bool, is_mirrored: bool) -> Command {
         format!("file:{name}")
     };
     command
+        .args(["-threads", THREADS, "-max_pixels", &MAX_PIXELS.to_string()])
         .args(["-i", &input, "-map", "0:v:0", "-vsync", "passthrough"])
         .args(["-vf", &filter, "-f", "yuv4mpegpipe", "-strict", "-1", "-"])
         .stdin(Stdio::null())

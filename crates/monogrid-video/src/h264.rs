@@ -1,6 +1,7 @@
 //! H.264 in MP4, MOV and packets, decoded in this process.
 
 mod aspect;
+mod bounded;
 mod packets;
 
 pub(crate) use packets::PacketFrames;
@@ -13,21 +14,14 @@ use crate::{
     Chroma, Colour, ColourSpace, Elsewhere, Grey, Here, MIRRORED, Missing, Opened, VideoError,
     VideoFrame,
 };
-use rust_h264::decoder::{ChromaFormat, Frame, OrderedDecoder};
-use rust_h264::nal::{NalUnit, NalUnitType, SpsInfo, parse_avcc, parse_sps_info};
-use std::collections::{BTreeSet, VecDeque};
+use bounded::BoundedDecoder;
+use monogrid_datasets::PixelBudget;
+use rust_h264::decoder::{ChromaFormat, Frame};
+use rust_h264::nal::{NalUnit, NalUnitType, parse_avcc, parse_sps_info};
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
-
-/// Most pixels of a picture that is decoded here: those of level 5.2 (4096x2304). Larger ones go to
-/// ffmpeg; sixteen reference pictures of this size stay below half a gigabyte.
-const MAX_PICTURE_PIXELS: u64 = 36_864 * 256;
-
-/// Macroblocks of all pictures that a decoder must hold, as references or until their turn: those
-/// of level 5.2 (ITU-T H.264, table A-1). A stream may ask for any number.
-const MAX_HELD_MACROBLOCKS: u64 = 184_320;
-/// Pictures that a decoder must hold, whatever their size.
-const MAX_HELD: u64 = 16;
+use std::path::Path;
 
 /// Longest coded frame, bytes.
 const MAX_SAMPLE_BYTES: u32 = 1 << 25;
@@ -43,18 +37,18 @@ pub(crate) fn open(name: &str, mut file: File, file_bytes: u64) -> Result<Here, 
     let mut pixels = track.pixels;
     let sets = [&track.config.sps_list, &track.config.pps_list];
     let sets: Vec<Vec<u8>> = sets.into_iter().flatten().map(prefixed).collect();
-    let mut decoder = decoder_of(&sets);
+    let units = || sets.iter().flat_map(|set| parse_avcc(set, 4));
+    let budget = PixelBudget::of_video(Path::new(name), file_bytes);
+    let mut decoder = BoundedDecoder::new(units(), Some(budget));
     let mut space = ColourSpace::default();
-    for set in &sets {
-        for unit in parse_avcc(set, 4) {
-            space = colour_space(&unit).unwrap_or(space);
-            if may_be_interlaced(&unit) {
-                return elsewhere("H.264, which may be interlaced".to_owned());
-            }
-            pixels = pixels.or_else(|| aspect::pixel_shape(&unit));
-            if let Err(reason) = decode_unit(&mut decoder, &unit, 0) {
-                return elsewhere(format!("H.264, {reason}"));
-            }
+    for unit in units() {
+        space = colour_space(&unit).unwrap_or(space);
+        if may_be_interlaced(&unit) {
+            return elsewhere("H.264, which may be interlaced".to_owned());
+        }
+        pixels = pixels.or_else(|| aspect::pixel_shape(&unit));
+        if let Err(reason) = decoder.decode(&unit, 0)? {
+            return elsewhere(format!("H.264, {reason}"));
         }
     }
     let shown = |sample: &Sample| track.timing.shown_ns(sample.time).is_some();
@@ -67,7 +61,6 @@ pub(crate) fn open(name: &str, mut file: File, file_bytes: u64) -> Result<Here, 
         track,
         space,
         decoder,
-        ready: VecDeque::new(),
         sample: 0,
         awaited: BTreeSet::new(),
         given_up: BTreeSet::new(),
@@ -97,9 +90,8 @@ struct H264Frames {
     file: File,
     track: Track,
     space: ColourSpace,
-    /// Carries the time of each sample, units of the track, to its frame.
-    decoder: OrderedDecoder<i64>,
-    ready: VecDeque<(Frame, i64)>,
+    /// Times are in units of the track.
+    decoder: BoundedDecoder,
     /// Samples read so far.
     sample: usize,
     /// Times of samples, units of the track, of which neither a frame nor an error has come.
@@ -115,7 +107,7 @@ impl H264Frames {
     fn advance(&mut self) -> Result<(), VideoError> {
         let Some(sample) = self.track.samples.next() else {
             self.ended = true;
-            self.ready.extend(self.decoder.flush_with_meta());
+            self.decoder.finish();
             return Ok(());
         };
         let number = self.sample;
@@ -132,10 +124,8 @@ impl H264Frames {
         // of the length in front of each unit
         let length_bytes = usize::from(self.track.config.length_size_minus_one.get()) + 1;
         for unit in parse_avcc(&bytes, length_bytes) {
-            match decode_unit(&mut self.decoder, &unit, sample.time) {
-                Ok(frames) => self.ready.extend(frames),
-                Err(reason) => first_error = first_error.or(Some(reason)),
-            }
+            let outcome = self.decoder.decode(&unit, sample.time)?;
+            first_error = first_error.or(outcome.err());
         }
         let Some(reason) = first_error else {
             return Ok(());
@@ -163,7 +153,7 @@ impl H264Frames {
 
     /// The next frame that is shown.
     fn take_ready(&mut self) -> Option<Result<VideoFrame, VideoError>> {
-        while let Some((frame, time)) = self.ready.pop_front() {
+        while let Some((frame, time)) = self.decoder.take_ready() {
             self.arrived(time);
             let Some(timestamp_ns) = self.track.timing.shown_ns(time) else {
                 continue;
@@ -188,6 +178,7 @@ impl Iterator for H264Frames {
                 return None;
             }
             if let Err(error) = self.advance() {
+                self.ended |= !error.is_single_frame();
                 return Some(Err(error));
             }
         }
@@ -198,45 +189,6 @@ impl Iterator for H264Frames {
 fn prefixed(set: impl AsRef<[u8]>) -> Vec<u8> {
     let set = set.as_ref();
     [&(set.len() as u32).to_be_bytes(), set].concat()
-}
-
-/// A decoder for the pictures that these parameter sets announce, which keeps no more of them until
-/// their turn than it must.
-fn decoder_of(sets: &[Vec<u8>]) -> OrderedDecoder<i64> {
-    let units = sets.iter().flat_map(|set| parse_avcc(set, 4));
-    let infos = units.filter_map(|unit| parse_sps_info(&unit).ok());
-    let most = infos.map(|info| max_held(&info)).min();
-    OrderedDecoder::with_max_depth(most.unwrap_or(MAX_HELD) as usize)
-}
-
-/// Pictures of this size that a decoder must hold at most.
-fn max_held(info: &SpsInfo) -> u64 {
-    let macroblocks = u64::from(info.coded_width) * u64::from(info.coded_height) / 256;
-    (MAX_HELD_MACROBLOCKS / macroblocks.max(1)).clamp(1, MAX_HELD)
-}
-
-/// Hands one unit to the decoder, unless it announces pictures that are too large or too many.
-fn decode_unit(
-    decoder: &mut OrderedDecoder<i64>,
-    unit: &NalUnit<'_>,
-    time: i64,
-) -> Result<Vec<(Frame, i64)>, String> {
-    if unit.nal_unit_type == NalUnitType::Sps {
-        let info = parse_sps_info(unit).map_err(|e| e.to_string())?;
-        if u64::from(info.coded_width) * u64::from(info.coded_height) > MAX_PICTURE_PIXELS {
-            let (width, height) = (info.width, info.height);
-            return Err(format!("pictures of {width}x{height} pixels"));
-        }
-        let (found, most) = (u64::from(info.reference_frames), max_held(&info));
-        if found > most {
-            return Err(format!(
-                "{found} reference pictures, expected at most {most}"
-            ));
-        }
-    }
-    decoder
-        .decode_nal_with_meta(unit, time)
-        .map_err(|e| e.to_string())
 }
 
 fn read_sample(file: &mut File, sample: Sample) -> std::io::Result<Vec<u8>> {
@@ -299,46 +251,4 @@ fn colour_space(unit: &NalUnit<'_>) -> Option<ColourSpace> {
         has_full_range: info.full_range,
         is_bt709,
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A number as the standard writes it.
-    fn exp_golomb(number: u32) -> String {
-        let digits = format!("{:b}", number + 1);
-        "0".repeat(digits.len() - 1) + &digits
-    }
-
-    /// A sequence parameter set of so many macroblocks and references, behind its length.
-    fn parameters(columns: u32, rows: u32, references: u32) -> Vec<u8> {
-        // baseline, level 5.1; identity, bits of frame numbers, order by number
-        let start = "010000101100000000110011 1 1 011";
-        let size = exp_golomb(columns - 1) + &exp_golomb(rows - 1);
-        let bits = format!("{start} {} 0 {size} 1 1 0 0 1", exp_golomb(references));
-        let mut bits: Vec<u8> = bits.bytes().filter(u8::is_ascii_digit).collect();
-        bits.resize(bits.len().next_multiple_of(8), b'0');
-        let byte = |eight: &[u8]| eight.iter().fold(0, |byte, bit| byte << 1 | (bit - b'0'));
-        let unit: Vec<u8> = [0x67].into_iter().chain(bits.chunks(8).map(byte)).collect();
-        [&(unit.len() as u32).to_be_bytes(), unit.as_slice()].concat()
-    }
-
-    fn decoded(columns: u32, rows: u32, references: u32) -> Result<usize, String> {
-        let bytes = parameters(columns, rows, references);
-        let units: Vec<NalUnit> = parse_avcc(&bytes, 4).into_iter().collect();
-        let frames = decode_unit(&mut OrderedDecoder::new(), &units[0], 0);
-        frames.map(|frames| frames.len())
-    }
-
-    #[test]
-    fn a_stream_may_not_have_any_number_of_pictures_held() {
-        for (columns, rows, most) in [(256, 144, 5), (240, 135, 5), (120, 68, 16), (1, 1, 16)] {
-            assert_eq!(decoded(columns, rows, most), Ok(0), "{columns}x{rows}");
-            let expected = format!("{} reference pictures, expected at most {most}", most + 1);
-            assert_eq!(decoded(columns, rows, most + 1), Err(expected));
-        }
-        assert!(decoded(4, 4, 1 << 30).is_err());
-        assert!(decoded(257, 144, 1).is_err(), "too large");
-    }
 }

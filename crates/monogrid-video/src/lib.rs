@@ -80,7 +80,7 @@ pub(crate) const MAX_PIXELS: usize = 1 << 25;
 
 /// Pixels that a frame counts for at least: each takes its time, and a small file can hold a
 /// million of them.
-const MIN_FRAME_PIXELS: usize = 1 << 13;
+pub(crate) const MIN_FRAME_PIXELS: usize = 1 << 13;
 
 /// One frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -500,7 +500,7 @@ impl Video {
 }
 
 /// Bytes of a file, or of the files in a folder; `None` of anything else, which may be endless.
-fn stored_bytes(path: &Path) -> Option<u64> {
+pub(crate) fn stored_bytes(path: &Path) -> Option<u64> {
     let metadata = std::fs::metadata(path).ok()?;
     if !metadata.is_dir() {
         return metadata.is_file().then_some(metadata.len());

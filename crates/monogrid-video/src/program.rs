@@ -23,13 +23,15 @@ struct State {
 }
 
 impl Program {
-    /// Starts it; the pipes of the child are for the caller to take.
+    /// Starts it; the pipes of the child are for the caller to take. It may take so many bytes of
+    /// memory for data, where the system can limit that (Linux).
     pub(crate) fn start<T>(
         &self,
         command: &mut Command,
+        most_bytes: Option<u64>,
         pipes: impl FnOnce(&mut Child) -> T,
     ) -> Result<T> {
-        end_with_us(command);
+        bind(command, most_bytes);
         let mut state = self.lock();
         if state.is_over {
             return Err(Error::new(ErrorKind::Interrupted, "nobody waits for it"));
@@ -90,18 +92,25 @@ impl State {
     }
 }
 
-/// Puts the program into a group of its own; where the system can do that (Linux), it ends with
-/// this process however that ends.
-fn end_with_us(command: &mut Command) {
+/// Puts the program into a group of its own; where the system can do that (Linux), it ends with this
+/// process however that ends, and takes no more memory than it may.
+fn bind(command: &mut Command, most_bytes: Option<u64>) {
+    #[cfg(not(target_os = "linux"))]
+    let _ = most_bytes;
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(command, 0);
     #[cfg(target_os = "linux")]
     {
-        use rustix::process::{Signal, getppid, set_parent_process_death_signal};
+        use rustix::process::{Resource, Rlimit, Signal};
+        use rustix::process::{getppid, set_parent_process_death_signal, setrlimit};
         use std::os::unix::process::CommandExt;
         let parent = Some(rustix::process::getpid());
         let in_child = move || {
             set_parent_process_death_signal(Some(Signal::KILL))?;
+            if most_bytes.is_some() {
+                let (current, maximum) = (most_bytes, most_bytes);
+                setrlimit(Resource::Data, Rlimit { current, maximum })?;
+            }
             match getppid() == parent {
                 true => Ok(()),
                 // it was gone before
@@ -110,9 +119,9 @@ fn end_with_us(command: &mut Command) {
         };
         #[expect(
             unsafe_code,
-            reason = "between fork and exec: two system calls, no memory, no locks"
+            reason = "between fork and exec: three system calls, no memory, no locks"
         )]
-        // SAFETY: the closure makes two system calls, and neither allocates nor takes a lock
+        // SAFETY: the closure makes three system calls, and none allocates or takes a lock
         unsafe {
             command.pre_exec(in_child);
         }

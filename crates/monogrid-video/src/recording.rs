@@ -1,8 +1,9 @@
 //! Recordings of robots: the images of one topic.
 
 use crate::h264::PacketFrames;
-use crate::{Colour, Opened, VideoError, VideoFrame};
+use crate::{Colour, Opened, VideoError, VideoFrame, stored_bytes};
 use monogrid_bags::{Bag, BagError, TopicKind};
+use monogrid_datasets::PixelBudget;
 use monogrid_geometry::Camera;
 use monogrid_image::{GrayImage, to_gray8};
 use std::path::Path;
@@ -24,7 +25,8 @@ pub(crate) fn open(
     let camera = bag.camera_of(topic);
     let description = format!("recording, topic {}", topic.name);
     if topic.kind == TopicKind::CompressedVideo {
-        let frames = PacketFrames::new(name, bag.packets(topic));
+        let budget = stored_bytes(path).map(|bytes| PixelBudget::of_video(path, bytes));
+        let frames = PacketFrames::new(name, bag.packets(topic), budget);
         return Ok((Opened::new(description, Box::new(frames)), camera));
     }
     let images = bag.images(topic);

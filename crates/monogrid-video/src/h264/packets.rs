@@ -1,12 +1,12 @@
 //! H.264 in packets of a picture each, with start codes, as recordings of robots have it.
 
-use super::{colour_space, decode_unit, incomplete, may_be_interlaced, shown};
+use super::bounded::BoundedDecoder;
+use super::{colour_space, incomplete, may_be_interlaced, shown};
 use crate::turn::Turn;
 use crate::{ColourSpace, VideoError, VideoFrame};
 use monogrid_bags::{Coded, Packets};
-use rust_h264::decoder::{Frame, OrderedDecoder};
+use monogrid_datasets::PixelBudget;
 use rust_h264::nal::parse_annex_b;
-use std::collections::VecDeque;
 
 /// What the codec is called.
 const FORMAT: &str = "h264";
@@ -16,22 +16,24 @@ pub(crate) struct PacketFrames {
     name: String,
     packets: Packets,
     space: ColourSpace,
-    /// Carries the time of each packet, ns, to its frame.
-    decoder: OrderedDecoder<i64>,
-    ready: VecDeque<(Frame, i64)>,
+    /// Times are in nanoseconds. Begun with the first packet, which says what there is to hold.
+    decoder: Option<BoundedDecoder>,
+    /// That of the decoder, until it is begun.
+    budget: Option<PixelBudget>,
     /// Packets read so far.
     packet: usize,
     ended: bool,
 }
 
 impl PacketFrames {
-    pub(crate) fn new(name: &str, packets: Packets) -> Self {
+    /// Frames of a recording; what they may show together is in `budget`.
+    pub(crate) fn new(name: &str, packets: Packets, budget: Option<PixelBudget>) -> Self {
         Self {
             name: name.to_owned(),
             packets,
             space: ColourSpace::default(),
-            decoder: OrderedDecoder::new(),
-            ready: VecDeque::new(),
+            decoder: None,
+            budget,
             packet: 0,
             ended: false,
         }
@@ -49,16 +51,19 @@ impl PacketFrames {
             return Err(VideoError::content(&self.name, "recording", found, FORMAT));
         }
         let mut first_error = None;
-        for unit in parse_annex_b(&coded.data) {
+        let units = || parse_annex_b(&coded.data).into_iter();
+        let budget = &mut self.budget;
+        let decoder = self
+            .decoder
+            .get_or_insert_with(|| BoundedDecoder::new(units(), budget.take()));
+        for unit in units() {
             self.space = colour_space(&unit).unwrap_or(self.space);
             if may_be_interlaced(&unit) {
                 first_error = first_error.or(Some("pictures that may be interlaced".to_owned()));
                 continue;
             }
-            match decode_unit(&mut self.decoder, &unit, coded.time_ns) {
-                Ok(frames) => self.ready.extend(frames),
-                Err(reason) => first_error = first_error.or(Some(reason)),
-            }
+            let outcome = decoder.decode(&unit, coded.time_ns)?;
+            first_error = first_error.or(outcome.err());
         }
         let failed = |reason| Err(VideoError::frame(&self.name, number, reason));
         first_error.map_or(Ok(()), failed)
@@ -70,7 +75,8 @@ impl Iterator for PacketFrames {
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
-            if let Some((frame, timestamp_ns)) = self.ready.pop_front() {
+            let ready = self.decoder.as_mut().and_then(BoundedDecoder::take_ready);
+            if let Some((frame, timestamp_ns)) = ready {
                 let shown = shown(frame, timestamp_ns, self.space, Turn::None);
                 return Some(shown.ok_or_else(|| incomplete(&self.name, self.packet)));
             }
@@ -80,6 +86,7 @@ impl Iterator for PacketFrames {
             match self.packets.next() {
                 Some(Ok(coded)) => {
                     if let Err(error) = self.decode(&coded) {
+                        self.ended |= !error.is_single_frame();
                         return Some(Err(error));
                     }
                 }
@@ -89,7 +96,9 @@ impl Iterator for PacketFrames {
                 }
                 None => {
                     self.ended = true;
-                    self.ready.extend(self.decoder.flush_with_meta());
+                    if let Some(decoder) = &mut self.decoder {
+                        decoder.finish();
+                    }
                 }
             }
         }

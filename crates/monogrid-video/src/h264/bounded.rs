@@ -1,0 +1,241 @@
+//! A decoder that takes no more memory and time than what its stream stores is worth.
+
+use super::aspect::first_number;
+use crate::{MIN_FRAME_PIXELS, VideoError};
+use monogrid_datasets::PixelBudget;
+use rust_h264::decoder::{Frame, OrderedDecoder};
+use rust_h264::nal::{NalUnit, NalUnitType, SpsInfo, parse_sps_info};
+use std::collections::VecDeque;
+
+/// Most pixels of a picture that is decoded here: those of level 5.2 (4096x2304). Larger ones go to
+/// ffmpeg; sixteen reference pictures of this size stay below half a gigabyte.
+const MAX_PICTURE_PIXELS: u64 = 36_864 * 256;
+
+/// Macroblocks of all pictures that a decoder must hold, as references or until their turn: those
+/// of level 5.2 (ITU-T H.264, table A-1). A stream may ask for any number.
+const MAX_HELD_MACROBLOCKS: u64 = 184_320;
+/// Pictures that a decoder must hold, whatever their size.
+const MAX_HELD: u64 = 16;
+
+/// Of each slice, the part that is taken out of the budget. A slice may cover all of its picture
+/// behind its beginning: eight even slices count as one picture and an eighth.
+const PART_OF_SLICE: usize = 4;
+
+/// Decodes units, and holds the pictures that are complete.
+pub(super) struct BoundedDecoder {
+    /// Carries the time of each sample, in the caller's unit, to its picture.
+    decoder: OrderedDecoder<i64>,
+    ready: VecDeque<(Frame, i64)>,
+    /// Pixels of a picture, by the last parameter set.
+    picture_pixels: usize,
+    /// What the slices may cover together, shown or not; `None` for what comes as it happens.
+    budget: Option<PixelBudget>,
+}
+
+impl BoundedDecoder {
+    /// A decoder for the pictures that these parameter sets announce, which keeps no more of them
+    /// until their turn than it must.
+    pub(super) fn new<'a>(
+        sets: impl Iterator<Item = NalUnit<'a>>,
+        budget: Option<PixelBudget>,
+    ) -> Self {
+        let infos = sets.filter_map(|unit| parse_sps_info(&unit).ok());
+        let most = infos.map(|info| max_held(coded_pixels(&info))).min();
+        Self {
+            decoder: OrderedDecoder::with_max_depth(most.unwrap_or(MAX_HELD) as usize),
+            ready: VecDeque::new(),
+            picture_pixels: 0,
+            budget,
+        }
+    }
+
+    /// Decodes one unit. A sample is one picture: what makes many of them is refused, before they
+    /// fill the memory.
+    ///
+    /// # Errors
+    /// When nothing more may be decoded; inside, why this unit was not.
+    pub(super) fn decode(
+        &mut self,
+        unit: &NalUnit<'_>,
+        time: i64,
+    ) -> Result<Result<(), String>, VideoError> {
+        match unit.nal_unit_type {
+            NalUnitType::Sps => match picture_pixels(unit) {
+                Ok(pixels) => self.picture_pixels = pixels,
+                Err(reason) => return Ok(Err(reason)),
+            },
+            NalUnitType::Slice | NalUnitType::SliceIdr | NalUnitType::SliceDataA => {
+                self.spend(unit)?;
+                if self.ready.len() as u64 > 1 + max_held(self.picture_pixels as u64) {
+                    return Ok(Err("more than one picture in a sample".to_owned()));
+                }
+            }
+            _ => {}
+        }
+        let frames = self.decoder.decode_nal_with_meta(unit, time);
+        Ok(frames
+            .map(|frames| self.ready.extend(frames))
+            .map_err(|e| e.to_string()))
+    }
+
+    /// Takes out of the budget what a slice may cover.
+    fn spend(&mut self, slice: &NalUnit<'_>) -> Result<(), VideoError> {
+        let before = first_number(slice).map_or(0, |block| block as usize * 256);
+        let covered = self.picture_pixels.saturating_sub(before);
+        if let Some(budget) = &mut self.budget {
+            budget.spend(covered.max(MIN_FRAME_PIXELS) / PART_OF_SLICE, 1)?;
+        }
+        Ok(())
+    }
+
+    /// The next picture that is complete.
+    pub(super) fn take_ready(&mut self) -> Option<(Frame, i64)> {
+        self.ready.pop_front()
+    }
+
+    /// Completes what is still held, at the end.
+    pub(super) fn finish(&mut self) {
+        self.ready.extend(self.decoder.flush_with_meta());
+    }
+}
+
+/// Pixels of a picture with its macroblocks at the edges.
+fn coded_pixels(info: &SpsInfo) -> u64 {
+    u64::from(info.coded_width) * u64::from(info.coded_height)
+}
+
+/// Pictures of so many pixels that a decoder must hold at most.
+fn max_held(pixels: u64) -> u64 {
+    (MAX_HELD_MACROBLOCKS / (pixels / 256).max(1)).clamp(1, MAX_HELD)
+}
+
+/// Pixels of the pictures that a parameter set announces, unless they are too large or too many.
+fn picture_pixels(unit: &NalUnit<'_>) -> Result<usize, String> {
+    let info = parse_sps_info(unit).map_err(|e| e.to_string())?;
+    let pixels = coded_pixels(&info);
+    if pixels > MAX_PICTURE_PIXELS {
+        let (width, height) = (info.width, info.height);
+        return Err(format!("pictures of {width}x{height} pixels"));
+    }
+    let (found, most) = (u64::from(info.reference_frames), max_held(pixels));
+    if found > most {
+        return Err(format!(
+            "{found} reference pictures, expected at most {most}"
+        ));
+    }
+    Ok(pixels as usize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rust_h264::nal::parse_annex_b;
+    use std::path::Path;
+
+    /// A number as the standard writes it.
+    fn exp_golomb(number: u32) -> String {
+        let digits = format!("{:b}", number + 1);
+        "0".repeat(digits.len() - 1) + &digits
+    }
+
+    /// A unit of these bits.
+    fn unit(kind: u8, bits: &str) -> Vec<u8> {
+        let mut bits: Vec<u8> = bits.bytes().filter(u8::is_ascii_digit).collect();
+        bits.push(b'1');
+        bits.resize(bits.len().next_multiple_of(8), b'0');
+        let byte = |eight: &[u8]| eight.iter().fold(0, |byte, bit| byte << 1 | (bit - b'0'));
+        let start = [0, 0, 0, 1, kind].into_iter();
+        start.chain(bits.chunks(8).map(byte)).collect()
+    }
+
+    /// A sequence parameter set of so many macroblocks and references.
+    fn parameters(columns: u32, rows: u32, references: u32) -> Vec<u8> {
+        // baseline, level 5.1; identity, bits of frame numbers, order by number
+        let start = "010000101100000000110011 1 1 011";
+        let size = exp_golomb(columns - 1) + &exp_golomb(rows - 1);
+        unit(
+            0x67,
+            &format!("{start} {} 0 {size} 1 1 0 0", exp_golomb(references)),
+        )
+    }
+
+    /// Parameter sets and a plain picture of so many macroblocks a side, as one sample.
+    fn plain_picture(side: u32) -> Vec<u8> {
+        let blocks = "00100 1 1 1".repeat((side * side) as usize);
+        let picture = "1 0001000 1 0000 1 00 1".to_owned() + &blocks;
+        let pps = unit(0x68, "1 1 0 0 1 1 1 0 00 1 1 1 000");
+        [parameters(side, side, 1), pps, unit(0x65, &picture)].concat()
+    }
+
+    /// A slice that repeats so many macroblocks of what was before, from one on.
+    fn repeated(picture: usize, (first, count): (u32, u32)) -> Vec<u8> {
+        let (number, first, count) = (picture % 16, exp_golomb(first), exp_golomb(count));
+        unit(
+            0x41,
+            &format!("{first} 00110 1 {number:04b} 0 0 0 1 {count}"),
+        )
+    }
+
+    fn decoder(stored_bytes: u64) -> BoundedDecoder {
+        let budget = PixelBudget::of_video(Path::new("a.mp4"), stored_bytes);
+        BoundedDecoder::new(std::iter::empty(), Some(budget))
+    }
+
+    fn announced(columns: u32, rows: u32, references: u32) -> Result<(), String> {
+        let bytes = parameters(columns, rows, references);
+        let units = parse_annex_b(&bytes);
+        decoder(0).decode(&units[0], 0).expect("in the budget")
+    }
+
+    #[test]
+    fn a_stream_may_not_have_any_number_of_pictures_held() {
+        for (columns, rows, most) in [(256, 144, 5), (240, 135, 5), (120, 68, 16), (1, 1, 16)] {
+            assert_eq!(announced(columns, rows, most), Ok(()), "{columns}x{rows}");
+            let expected = format!("{} reference pictures, expected at most {most}", most + 1);
+            assert_eq!(announced(columns, rows, most + 1), Err(expected));
+        }
+        assert!(announced(4, 4, 1 << 30).is_err());
+        assert!(announced(257, 144, 1).is_err(), "too large");
+    }
+
+    #[test]
+    fn a_sample_of_many_pictures_does_not_fill_the_memory() {
+        let mut decoder = decoder(0);
+        let bytes = [
+            plain_picture(1),
+            (1..200).flat_map(|n| repeated(n, (0, 1))).collect(),
+        ]
+        .concat();
+        let outcomes = parse_annex_b(&bytes).into_iter().map(|unit| {
+            let outcome = decoder.decode(&unit, 0).expect("in the budget");
+            (outcome, decoder.ready.len())
+        });
+        let (outcomes, held): (Vec<_>, Vec<_>) = outcomes.unzip();
+        assert_eq!(outcomes[..10], vec![Ok(()); 10], "ordinary at first");
+        let refused = Err("more than one picture in a sample".to_owned());
+        assert_eq!(outcomes.last(), Some(&refused));
+        let most = held.into_iter().max().unwrap_or(0);
+        assert!((16..40).contains(&most), "{most} pictures were held");
+    }
+
+    /// Slices that are decoded after a picture of a megapixel, each from this macroblock on.
+    fn slices_until_refused(first: u32) -> usize {
+        let mut decoder = decoder(0);
+        for unit in parse_annex_b(&plain_picture(64)) {
+            let outcome = decoder.decode(&unit, 0).expect("in the budget");
+            assert_eq!(outcome, Ok(()));
+        }
+        let bytes = repeated(1, (first, 4096 - first));
+        let units = parse_annex_b(&bytes);
+        let is_over = |_: &usize| decoder.decode(&units[0], 0).is_err();
+        (0..).find(is_over).expect("an end")
+    }
+
+    #[test]
+    fn slices_that_cover_a_picture_again_and_again_are_refused() {
+        // 2^27 pixels, of which the picture took a quarter of 2^20
+        assert_eq!(slices_until_refused(0), 512 - 1);
+        assert_eq!(slices_until_refused(2048), 1024 - 2);
+        assert_eq!(slices_until_refused(3072), 2048 - 4);
+    }
+}
