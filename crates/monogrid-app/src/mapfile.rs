@@ -61,6 +61,17 @@ pub fn load(path: &Path) -> Result<(OccupancyMap, MapFormat), Failure> {
     Ok(read)
 }
 
+/// The most that a command may spend on map files of so many bytes: `small` on small ones,
+/// `per_byte` more for each byte of larger ones. Anything where the user trusts them.
+#[must_use]
+pub fn allowance(file_bytes: u64, small: u64, per_byte: u64) -> u64 {
+    if std::env::var_os(LARGE_MAPS).is_some() {
+        return u64::MAX;
+    }
+    let more = file_bytes.saturating_sub(SMALL_FILE_BYTES);
+    small.saturating_add(more.saturating_mul(per_byte))
+}
+
 fn max_bricks(file_bytes: u64) -> u64 {
     SMALL_FILE_BRICKS + file_bytes.saturating_sub(SMALL_FILE_BYTES) / BYTES_PER_BRICK
 }

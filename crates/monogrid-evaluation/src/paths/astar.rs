@@ -11,6 +11,27 @@ pub(crate) struct Path {
     pub length: f64,
 }
 
+/// Cells that searches have visited, of so many that they may.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Visits {
+    done: u64,
+    most: u64,
+}
+
+impl Visits {
+    pub fn of_at_most(most: u64) -> Self {
+        Self { done: 0, most }
+    }
+
+    pub fn most(&self) -> u64 {
+        self.most
+    }
+
+    pub fn is_exceeded(&self) -> bool {
+        self.done > self.most
+    }
+}
+
 /// Planner with memory that is used again for every search.
 pub(crate) struct Planner<'a> {
     grid: &'a DistanceGrid,
@@ -58,8 +79,9 @@ impl<'a> Planner<'a> {
         self.component[index]
     }
 
-    /// The shortest path, both ends included; `None` when there is none or an end is not free.
-    pub fn plan(&mut self, start: usize, goal: usize) -> Option<Path> {
+    /// The shortest path, both ends included; `None` when there is none, an end is not free, or
+    /// more cells were visited than may be.
+    pub fn plan(&mut self, start: usize, goal: usize, visits: &mut Visits) -> Option<Path> {
         if self.component[start] == 0 || self.component[start] != self.component[goal] {
             return None;
         }
@@ -79,6 +101,10 @@ impl<'a> Planner<'a> {
                 continue;
             }
             self.nodes[index].is_closed = true;
+            visits.done += 1;
+            if visits.is_exceeded() {
+                return None;
+            }
             if index == goal {
                 return Some(self.path_to(start, goal));
             }
@@ -199,6 +225,10 @@ fn components(grid: &DistanceGrid, steps: &[Step], clearance: f32) -> Vec<u32> {
 mod tests {
     use super::*;
 
+    fn any() -> Visits {
+        Visits::of_at_most(u64::MAX)
+    }
+
     /// All cells that differ by at most one along each axis, and how far away they are.
     fn neighbours(grid: &DistanceGrid, index: usize) -> Vec<(usize, f32)> {
         let cell = grid.cell(index);
@@ -256,7 +286,7 @@ mod tests {
         let expected = bellman_ford(&grid, clearance, start);
         let mut reached = 0;
         for goal in free.into_iter().step_by(5) {
-            let Some(path) = planner.plan(start, goal) else {
+            let Some(path) = planner.plan(start, goal, &mut any()) else {
                 assert!(expected[goal].is_infinite());
                 continue;
             };
@@ -277,7 +307,9 @@ mod tests {
         let grid = DistanceGrid::new([22, 22, 22], |_| false);
         let mut planner = Planner::new(&grid, 1.0);
         let (a, b) = ([2, 3, 4], [18, 10, 5]);
-        let path = planner.plan(grid.index(a), grid.index(b)).expect("free");
+        let path = planner
+            .plan(grid.index(a), grid.index(b), &mut any())
+            .expect("free");
         assert!((path.length - f64::from(distance_without_obstacles(a, b))).abs() < 1e-2);
         assert_eq!(path.cells.len(), 17);
     }

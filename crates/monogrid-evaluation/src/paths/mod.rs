@@ -13,7 +13,7 @@ pub use plan::{PlanConfig, PlanError, PlannedPath, plan_path};
 
 use crate::statistics::median;
 use crate::truth::{TruthError, TruthGrid};
-use astar::{Path, Planner};
+use astar::{Path, Planner, Visits};
 use grid::DistanceGrid;
 use monogrid_geometry::Rng;
 use monogrid_occupancy::{Occupancy, OccupancyMap};
@@ -36,6 +36,10 @@ pub struct PathConfig {
     pub planning_cell: f64,
     /// Seed of the pairs. Default 0.
     pub seed: u64,
+    /// Most cells of the planning grid. Default 200,000,000: nodes take 20 bytes each.
+    pub max_cells: usize,
+    /// Most cells that all searches together may visit. Default: any number.
+    pub max_visits: u64,
 }
 
 impl Default for PathConfig {
@@ -47,6 +51,8 @@ impl Default for PathConfig {
             min_distance: 1.0,
             planning_cell: 0.064,
             seed: 0,
+            max_cells: MAX_CELLS,
+            max_visits: u64::MAX,
         }
     }
 }
@@ -82,6 +88,14 @@ pub enum PathError {
         cells: usize,
         /// Cells allowed.
         max: usize,
+    },
+    /// The searches would take too long.
+    #[error(
+        "the searches visit more than {max} cells; choose fewer pairs or larger planning cells"
+    )]
+    TooManyVisits {
+        /// Visits allowed.
+        max: u64,
     },
     /// No pair of connected cells that far apart in the truth.
     #[error(
@@ -177,11 +191,9 @@ pub fn evaluate_paths(
     let coarse_truth = truth.coarsened(factor)?;
     let cell = coarse_truth.resolution();
     let count = coarse_truth.size().iter().product();
-    if count > MAX_CELLS {
-        return Err(PathError::TooManyCells {
-            cells: count,
-            max: MAX_CELLS,
-        });
+    let max = config.max_cells.min(MAX_CELLS);
+    if count > max {
+        return Err(PathError::TooManyCells { cells: count, max });
     }
     let diagonal = 3.0_f64.sqrt() * cell;
     let margin = config.planning_margin.unwrap_or(diagonal);
@@ -199,23 +211,25 @@ pub fn evaluate_paths(
     let states = coarse_states(estimate, index, in_truth.len(), factor);
     let to_unobserved = DistanceGrid::new(in_truth.size, |i| states[i] == Occupancy::Unknown);
     let is_inside = |cells: &[usize]| least_distance(&to_unobserved, cells) >= clearances.collide;
-    let route = |(start, goal)| {
-        let path = truth_planner.plan(start, goal)?;
-        Some(Route {
+    let mut visits = Visits::of_at_most(config.max_visits);
+    let mut routes = Vec::with_capacity(pairs.len());
+    for (start, goal) in pairs {
+        let path = truth_planner.plan(start, goal, &mut visits);
+        visits.check()?;
+        routes.extend(path.map(|path| Route {
             are_ends_observed: is_inside(&[start, goal]),
             is_path_observed: is_inside(&path.cells),
             path,
-        })
-    };
-    let routes: Vec<Route> = pairs.into_iter().filter_map(route).collect();
+        }));
+    }
     drop(truth_planner);
-    let report = |is_blocked: &dyn Fn(Occupancy) -> bool| {
+    let mut report = |is_blocked: &dyn Fn(Occupancy) -> bool| {
         let in_map = DistanceGrid::new(in_truth.size, |i| is_blocked(states[i]));
-        compare(&routes, &in_truth, &in_map, &clearances, cell)
+        compare(&routes, &in_truth, &in_map, &clearances, cell, &mut visits)
     };
     Ok(PathsReport {
-        unknown_blocked: report(&|state| state != Occupancy::Free),
-        unknown_free: report(&|state| state == Occupancy::Occupied),
+        unknown_blocked: report(&|state| state != Occupancy::Free)?,
+        unknown_free: report(&|state| state == Occupancy::Occupied)?,
         planning_cell: cell,
         robot_radius: config.robot_radius,
         planning_margin: margin,
@@ -338,12 +352,14 @@ fn compare(
     in_map: &DistanceGrid,
     clearances: &Clearances,
     cell: f64,
-) -> PathReport {
+    visits: &mut Visits,
+) -> Result<PathReport, PathError> {
     let mut planner = Planner::new(in_map, clearances.plan);
     let outcome = |route: &Route| {
         let cells = &route.path.cells;
-        let plan = planner.plan(cells[0], cells[cells.len() - 1]);
-        Outcome {
+        let plan = planner.plan(cells[0], cells[cells.len() - 1], visits);
+        visits.check()?;
+        Ok(Outcome {
             is_optimal_blocked: least_distance(in_map, cells) < clearances.collide,
             plan: plan.map(|plan| {
                 let distance = least_distance(in_truth, &plan.cells);
@@ -353,17 +369,27 @@ fn compare(
                     collides: distance < clearances.collide,
                 }
             }),
-        }
+        })
     };
-    let outcomes: Vec<Outcome> = routes.iter().map(outcome).collect();
+    let outcomes: Result<Vec<Outcome>, PathError> = routes.iter().map(outcome).collect();
+    let outcomes = outcomes?;
     let of = |is_counted: fn(&Route) -> bool| {
         let pairs = routes.iter().zip(&outcomes);
         stats(pairs.filter_map(|(route, outcome)| is_counted(route).then_some(outcome)))
     };
-    PathReport {
+    Ok(PathReport {
         all: of(|_| true),
         observed: of(|route| route.are_ends_observed),
         path_observed: of(|route| route.is_path_observed),
+    })
+}
+
+impl Visits {
+    fn check(&self) -> Result<(), PathError> {
+        match self.is_exceeded() {
+            true => Err(PathError::TooManyVisits { max: self.most() }),
+            false => Ok(()),
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! One path through a map, as a robot would plan it.
 
-use super::astar::Planner;
+use super::astar::{Planner, Visits};
 use super::grid::{DistanceGrid, index_in};
 use super::{MAX_CELLS, coarse_states, least_distance};
 use crate::truth::cell_in_box;
@@ -126,7 +126,7 @@ pub fn plan_path(
             });
         }
     }
-    let path = planner.plan(start, goal);
+    let path = planner.plan(start, goal, &mut Visits::of_at_most(u64::MAX));
     let path = path.ok_or(PlanError::NotConnected(radius))?;
     let least = least_distance(&grid, &path.cells);
     let turns = turns(&path.cells, &grid);

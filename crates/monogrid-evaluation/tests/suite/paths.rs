@@ -174,6 +174,24 @@ fn bad_input_is_named() {
         matches!(error, PathError::NoPairs { free: 0, .. }),
         "{error}"
     );
+    let few_cells = PathConfig {
+        max_cells: 1000,
+        ..config()
+    };
+    let error = evaluate_paths(&map, &truth, &few_cells).expect_err("too large");
+    assert!(
+        matches!(error, PathError::TooManyCells { max: 1000, .. }),
+        "{error}"
+    );
+    // in the truth, and in the map
+    for max_visits in [100, 20_000] {
+        let few_visits = PathConfig {
+            max_visits,
+            ..config()
+        };
+        let error = evaluate_paths(&map, &truth, &few_visits).expect_err("too long");
+        assert_eq!(error, PathError::TooManyVisits { max: max_visits });
+    }
     let nan = PathConfig {
         robot_radius: f64::NAN,
         ..config()

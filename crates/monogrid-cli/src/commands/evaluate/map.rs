@@ -222,16 +222,28 @@ fn rotated_and_scaled(
     moved.while_running("the map cannot be moved")
 }
 
+/// Cells that are searched for paths, 50 bytes of memory each, and how often they are visited, some
+/// ten million times a second: for small files, and for each byte of larger ones.
+const SMALL_CELLS: u64 = 8_000_000;
+const CELLS_PER_BYTE: u64 = 64;
+const SMALL_VISITS: u64 = 50_000_000;
+const VISITS_PER_BYTE: u64 = 4000;
+
 /// Plans in both maps and checks each path in the other.
 pub fn paths(args: &EvaluatePathsArgs) -> CommandResult {
     let (estimate, _) = mapfile::load(&args.estimate)?;
     let truth = fitted(&estimate, load_truth(&args.truth)?, &args.truth)?;
+    let files = [&args.estimate, &args.truth].map(std::fs::metadata);
+    let bytes = files.into_iter().flatten().map(|file| file.len()).sum();
+    let allowed = |small, per_byte| mapfile::allowance(bytes, small, per_byte);
     let config = PathConfig {
         robot_radius: args.robot_radius,
         pairs: args.pairs,
         min_distance: args.min_distance,
         planning_cell: args.planning_cell,
         seed: args.seed,
+        max_cells: usize::try_from(allowed(SMALL_CELLS, CELLS_PER_BYTE)).unwrap_or(usize::MAX),
+        max_visits: allowed(SMALL_VISITS, VISITS_PER_BYTE),
         ..PathConfig::default()
     };
     let report = evaluate_paths(&estimate, &truth, &config).bad_input()?;
