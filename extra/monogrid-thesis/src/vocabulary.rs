@@ -6,17 +6,17 @@ use monogrid_app::args::WriteArgs;
 use monogrid_app::output::{Inputs, OutputFile};
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
 use monogrid_app::process::use_threads;
-use monogrid_datasets::{Dataset, DatasetError, PixelBudget, SourceOptions, read_gray};
+use monogrid_datasets::{Dataset, PixelBudget, SourceOptions, read_gray};
 use monogrid_features::{
     Descriptor, FeatureConfig, FeatureExtractor, PlaceVocabulary, VocabularyConfig,
     VocabularyProgress,
 };
-use monogrid_image::Pyramid;
+use monogrid_image::{GrayImage, Pyramid};
 use rayon::prelude::*;
 use serde::Serialize;
+use std::cell::RefCell;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
 
 /// `monogrid thesis vocabulary`.
 #[derive(Debug, Args)]
@@ -68,7 +68,7 @@ pub fn execute(args: &VocabularyArgs) -> CommandResult {
     let datasets = args.images.iter().map(open);
     let datasets = datasets.collect::<Result<Vec<_>, _>>()?;
     let budgets = datasets.iter().map(Dataset::pixel_budget);
-    let budgets: Vec<Mutex<PixelBudget>> = budgets.map(Mutex::new).collect();
+    let budgets: Vec<RefCell<PixelBudget>> = budgets.map(RefCell::new).collect();
     let files = image_files(&datasets, &budgets, args.every.get());
     let paths: Vec<PathBuf> = files.iter().map(|(path, _)| path.clone()).collect();
     let inputs = Inputs::default()
@@ -115,15 +115,15 @@ pub fn execute(args: &VocabularyArgs) -> CommandResult {
 }
 
 /// An image file, and what the images of its source may show together.
-type ImageFile<'a> = (PathBuf, &'a Mutex<PixelBudget>);
+type ImageFile<'a> = (PathBuf, &'a RefCell<PixelBudget>);
 
 /// The images to learn from, in the order of the folders.
 fn image_files<'a>(
     datasets: &[Dataset],
-    budgets: &'a [Mutex<PixelBudget>],
+    budgets: &'a [RefCell<PixelBudget>],
     every: usize,
 ) -> Vec<ImageFile<'a>> {
-    let of_one = |(dataset, budget): (&Dataset, &'a Mutex<PixelBudget>)| {
+    let of_one = |(dataset, budget): (&Dataset, &'a RefCell<PixelBudget>)| {
         let frames = dataset.frames.iter().step_by(every);
         let files = frames.map(|frame| (frame.path.clone(), budget));
         files.collect::<Vec<ImageFile>>()
@@ -131,21 +131,35 @@ fn image_files<'a>(
     datasets.iter().zip(budgets).flat_map(of_one).collect()
 }
 
+/// Pixels of the images that are described at once, with any number of threads: each takes 16
+/// bytes.
+const PIXELS_AT_ONCE: usize = 12_000_000;
+
 /// The descriptors of each image.
 fn describe(files: &[ImageFile]) -> Result<Vec<Vec<Descriptor>>, Failure> {
     let extractor = FeatureExtractor::new(FeatureConfig::default());
     let bar = ProgressBar::new(files.len() as u64);
-    let describe = |(path, budget): &ImageFile| -> Result<Vec<Descriptor>, DatasetError> {
-        let image = read_gray(path)?;
-        let mut budget = budget.lock().unwrap_or_else(PoisonError::into_inner);
-        budget.spend(image.width(), image.height())?;
-        drop(budget);
+    let describe = |image: GrayImage| -> Vec<Descriptor> {
         let pyramid = Pyramid::new(image, NUM_LEVELS);
         let features = extractor.extract(&pyramid, None);
         bar.inc(1);
-        Ok(features.iter().map(|f| f.descriptor).collect())
+        features.iter().map(|f| f.descriptor).collect()
     };
-    let images: Result<Vec<_>, _> = files.par_iter().map(describe).collect();
+    let mut described = Vec::with_capacity(files.len());
+    let mut files = files.iter().peekable();
+    while files.peek().is_some() {
+        let (mut images, mut pixels) = (Vec::new(), 0);
+        while pixels < PIXELS_AT_ONCE
+            && let Some((path, budget)) = files.next()
+        {
+            let image = read_gray(path).bad_input()?;
+            let (width, height) = (image.width(), image.height());
+            budget.borrow_mut().spend(width, height).bad_input()?;
+            pixels += width * height;
+            images.push(image);
+        }
+        described.par_extend(images.into_par_iter().map(describe));
+    }
     bar.finish_and_clear();
-    images.bad_input()
+    Ok(described)
 }

@@ -63,8 +63,8 @@ struct CheckReport {
     warnings: Vec<String>,
 }
 
-/// Images decoded at once.
-const CHUNK: usize = 32;
+/// Images decoded at once, with any number of threads: each may have 60 MB.
+const CHUNK: usize = 4;
 
 /// Number and time of a frame, and the working image.
 type CheckedFrame = (usize, i64, Result<GrayImage, Unusable>);
