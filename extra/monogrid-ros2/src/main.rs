@@ -15,7 +15,7 @@ use monogrid_ros2::serve::{Inputs, options};
 use monogrid_ros2::settings::read_settings;
 use monogrid_ros2::topics::MapTopics;
 use monogrid_ros2::tracking::{PosePublisher, Tracking};
-use monogrid_ros2::work::{Counts, way_to_work};
+use monogrid_ros2::work::{AtEnd, Counts, way_to_work};
 use std::fmt::Display;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -73,11 +73,13 @@ fn run(args: Args) -> anyhow::Result<()> {
     let map_from_world = settings.map_from_world;
     let tracking = Tracking::new(settings, &args, camera, publisher, news_sender);
     let maps = Maps::new(args, map_from_world, topics, Arc::clone(&counts));
-    let named = |name: &str| thread::Builder::new().name(name.to_owned());
-    let tracking = named("tracking").spawn(move || tracking.run(&work))?;
-    let maps = named("maps").spawn(move || maps.run(&news))?;
-
     let (stop, mut stopped) = mpsc::unbounded();
+    let named = |name: &str| thread::Builder::new().name(name.to_owned());
+    let ends = AtEnd::new(&stop);
+    let tracking = named("tracking").spawn(move || ends.after(|| tracking.run(&work)))?;
+    let ends = AtEnd::new(&stop);
+    let maps = named("maps").spawn(move || ends.after(|| maps.run(&news)))?;
+
     ctrlc::set_handler(move || {
         // after the first one the node is ending
         let _ = stop.unbounded_send(());

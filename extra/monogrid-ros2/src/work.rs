@@ -1,5 +1,6 @@
 //! What passes between the threads of the node.
 
+use futures::channel::mpsc::UnboundedSender;
 use futures::channel::oneshot;
 use monogrid_geometry::{Camera, Pinhole};
 use monogrid_inertial::ImuSample;
@@ -116,6 +117,30 @@ impl WorkReceiver {
     }
 }
 
+/// Ends the node with a thread of it: they end after the node, unless they panic.
+#[derive(Debug)]
+pub struct AtEnd(UnboundedSender<()>);
+
+impl AtEnd {
+    /// Tells this when the thread ends.
+    #[must_use]
+    pub fn new(stop: &UnboundedSender<()>) -> Self {
+        Self(stop.clone())
+    }
+
+    /// Does the work of the thread.
+    pub fn after(self, work: impl FnOnce()) {
+        work();
+    }
+}
+
+impl Drop for AtEnd {
+    fn drop(&mut self) {
+        // whoever ends the node needs not be told
+        let _ = self.0.unbounded_send(());
+    }
+}
+
 /// What the thread of the maps is told.
 pub enum News {
     /// A world begins: its number, its maps, and the pinhole of its keyframes.
@@ -164,6 +189,15 @@ pub struct Counts {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_thread_that_dies_ends_the_node() {
+        let (stop, mut stopped) = futures::channel::mpsc::unbounded();
+        let ends = AtEnd::new(&stop);
+        let thread = std::thread::spawn(|| ends.after(|| panic!("a panic that a test wants")));
+        assert!(thread.join().is_err());
+        assert!(stopped.try_recv().is_ok(), "nobody was told");
+    }
 
     #[test]
     fn images_find_room_for_a_few_and_everything_else_always() {
