@@ -195,9 +195,14 @@ pub fn hostile_clients(url: &str) -> Vec<TcpStream> {
 
 /// Everything that is answered to a request for the page at this address.
 pub fn get(url: &str) -> Vec<u8> {
+    get_below(url, "")
+}
+
+/// What is answered below the address of a page.
+pub fn get_below(url: &str, name: &str) -> Vec<u8> {
     let (host, path) = parts_of_url(url);
     let mut stream = TcpStream::connect(host).unwrap();
-    write!(stream, "GET {path} HTTP/1.1\r\nHost: {host}\r\n\r\n").unwrap();
+    write!(stream, "GET {path}{name} HTTP/1.1\r\nHost: {host}\r\n\r\n").unwrap();
     let mut answer = Vec::new();
     stream.read_to_end(&mut answer).unwrap();
     answer

@@ -1,9 +1,10 @@
 //! A panic in any part of a run ends it with exit code 1 and a sentence, and what was mapped until
 //! then is saved.
 
-use crate::common::{WITHOUT_DENSE_DEPTH, code, program, small_sequence, stderr};
+use crate::common::{WITHOUT_DENSE_DEPTH, code, get_below, program, small_sequence, stderr};
+use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::Output;
+use std::process::{Output, Stdio};
 
 /// A run in which the given part panics at its N-th passage; `options` are added.
 fn run(panic_in: &str, out: &Path, options: &[&str]) -> Output {
@@ -76,6 +77,46 @@ fn without_its_recorder_a_run_ends_with_poses_and_maps() {
     assert!(text.contains("a panic on purpose in recorder"), "{text}");
     assert!(num_poses(folder.path()) > 20);
     assert!(folder.path().join("global.ot").is_file());
+}
+
+#[test]
+fn a_viewer_that_panics_fails_the_run_with_everything_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = program();
+    command.arg("run").arg(small_sequence());
+    command
+        .args([
+            "--seed-depth",
+            "dataset",
+            "--max-frames",
+            "90",
+            "--view",
+            "--out",
+        ])
+        .arg(folder.path().join("out"))
+        .args(WITHOUT_DENSE_DEPTH)
+        .env("MONOGRID_PANIC_IN", "viewer:1");
+    command.stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    let mut said = BufReader::new(child.stderr.take().unwrap()).lines();
+    let mut lines = Vec::new();
+    for line in said.by_ref().map(Result::unwrap) {
+        let url = line
+            .split_whitespace()
+            .find(|w| w.starts_with("http://127.0.0.1:"));
+        if let Some(url) = url {
+            get_below(url, "live/0/0/0");
+        }
+        lines.push(line);
+    }
+    let text = lines.join("\n");
+    assert_eq!(child.wait().unwrap().code(), Some(1), "{text}");
+    assert!(text.contains("a panic on purpose in viewer"), "{text}");
+    assert!(text.contains("answers browsers has panicked"), "{text}");
+    assert!(num_poses(&folder.path().join("out")) > 20);
+    for file in ["recording.mgk", "global.ot", "report.html", "summary.json"] {
+        assert!(folder.path().join("out").join(file).is_file(), "no {file}");
+    }
 }
 
 #[test]

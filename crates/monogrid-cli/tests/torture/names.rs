@@ -109,7 +109,8 @@ fn files_that_are_none() {
                 args(&["evaluate", "trajectory"], &[&path, &calibration]),
                 &[2],
             ),
-            (args(&["check"], &[&path]), &[2]),
+            // a pipe is waited for
+            (args(&["check", "--source-timeout", "1"], &[&path]), &[1, 2]),
         ];
         for option in ["--calibration", "--config", "--mask", "--continue"] {
             all.push((args(&["run", option], &[&path, &video, to, &out]), &[2]));

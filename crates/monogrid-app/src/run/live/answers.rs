@@ -7,7 +7,7 @@ use monogrid_report::explorer::{
     Answer, Camera, Cells, Cloud, CloudPoint, Keyframe, Look, PathPoint, SemiDense, small_jpeg,
 };
 use monogrid_report::picture::base64;
-use monogrid_slam::{DepthPixel, KeptKeyframe, Keyframe as SlamKeyframe};
+use monogrid_slam::{DepthPixel, KeptKeyframe, Keyframe as SlamKeyframe, fault};
 use serde::Serialize;
 use std::borrow::Cow;
 use std::sync::atomic::Ordering;
@@ -92,6 +92,7 @@ impl Shown {
         let (since, from): (u64, usize) = (since.parse().ok()?, from.parse().ok()?);
         let wants_cells = cells == "1";
         self.live.note_question(wants_cells);
+        fault::pass("viewer");
         // before what is known is taken: what is told is then all
         let has_ended = self.live.has_ended.load(Ordering::Relaxed);
         // references are taken while it is locked, work is done afterwards
