@@ -12,9 +12,6 @@ use std::time::{Duration, Instant};
 /// for.
 const NETWORK_LIMIT: Duration = Duration::from_secs(10);
 
-/// Items that are read ahead.
-const AHEAD: usize = 1;
-
 /// Time between looks at whether the wait was interrupted.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
@@ -92,7 +89,8 @@ impl<T: Send + 'static> Aside<T> {
         patience: Patience,
         work: impl FnOnce(&Sink<T>) + Send + 'static,
     ) -> std::io::Result<Self> {
-        let (sender, items) = sync_channel(AHEAD);
+        // none waits between: the thread is ahead by the one that it holds, which may be 100 MB
+        let (sender, items) = sync_channel(0);
         let cpu_ns = Arc::<AtomicU64>::default();
         let sink = Sink {
             items: sender,
@@ -183,6 +181,25 @@ mod tests {
         assert_eq!(items.wait(), Waited::TooLong(limit));
         drop(items);
         assert!(begin.elapsed() < Duration::from_secs(10));
+    }
+
+    #[test]
+    fn no_more_is_made_than_one_item_ahead() {
+        static MADE: AtomicU64 = AtomicU64::new(0);
+        let work = |sink: &Sink<u64>| {
+            for number in 1..100 {
+                MADE.store(number, Ordering::Relaxed);
+                if !sink.put(number) {
+                    return;
+                }
+            }
+        };
+        let mut items = Aside::start("ahead", Patience::default(), work).unwrap();
+        for number in 1..20 {
+            assert_eq!(items.wait(), Waited::Item(number));
+            std::thread::sleep(Duration::from_millis(20));
+            assert!(MADE.load(Ordering::Relaxed) <= number + 1);
+        }
     }
 
     #[test]
