@@ -195,7 +195,7 @@ impl OccupancyMap {
         })?;
         target.revision = 1;
         let source_from_target = target_from_source.inverse();
-        for brick in self.bricks_reached(target_from_source, &target) {
+        for brick in self.bricks_reached(target_from_source, &target)? {
             let cells = std::array::from_fn(|index| {
                 let center = brick.cell(index).center(resolution);
                 let key = self.key(source_from_target.transform(center));
@@ -206,8 +206,13 @@ impl OccupancyMap {
         Ok(target)
     }
 
-    /// Bricks of `target` that the transformed bricks of this map can touch, in order.
-    fn bricks_reached(&self, target_from_source: &Similarity, target: &Self) -> BTreeSet<BrickKey> {
+    /// Bricks of `target` that the transformed bricks of this map can touch, in order; no more than
+    /// its budget allows.
+    fn bricks_reached(
+        &self,
+        target_from_source: &Similarity,
+        target: &Self,
+    ) -> Result<BTreeSet<BrickKey>, MapError> {
         let edge = f64::from(BRICK_EDGE) * self.resolution();
         let rows = target_from_source.rotation;
         // Half the edge of the box around a turned cube.
@@ -224,10 +229,14 @@ impl OccupancyMap {
                 target.key(corner).map(VoxelKey::brick)
             };
             if let (Some(first), Some(last)) = (corner(-1.0), corner(1.0)) {
+                // before they are taken: one brick may become billions
+                let more = usize::try_from(first.num_to(last)).unwrap_or(usize::MAX);
+                let most = more.max(reached.len());
+                target.check_budget(most, most)?;
                 reached.extend(first.to(last));
             }
         }
-        reached
+        Ok(reached)
     }
 
     /// Cells whose state differs between this map and a later one of the same cell size.

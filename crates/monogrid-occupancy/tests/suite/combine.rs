@@ -134,6 +134,27 @@ fn a_transformed_map_has_at_every_cell_what_was_there() {
 }
 
 #[test]
+fn a_transform_that_makes_billions_of_cells_is_refused_before_they_are_made() {
+    let source = map(5, 0.1);
+    let begin = std::time::Instant::now();
+    for (scale, resolution) in [(20.0, 0.001), (1e3, 0.001), (1e5, 0.05)] {
+        let grown = Similarity {
+            scale,
+            ..Similarity::IDENTITY
+        };
+        let refused = source.transformed(&grown, resolution);
+        assert!(
+            matches!(refused, Err(MapError::MemoryBudget { .. })),
+            "{scale}"
+        );
+        let cells = source.cells().count();
+        let as_large = source.transformed(&grown, 0.1 * scale).unwrap();
+        assert_eq!(as_large.cells().count(), cells);
+    }
+    assert!(begin.elapsed().as_secs() < 20);
+}
+
+#[test]
 fn differences_are_counted_as_cell_by_cell() {
     let (a, b) = (map(7, 0.1), map(8, 0.1));
     let mut expected = MapDifference::default();
