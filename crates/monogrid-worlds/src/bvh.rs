@@ -190,6 +190,15 @@ impl Bvh {
         self.nodes[0].bounds
     }
 
+    /// Triangles that a line through the scene is compared with, on average (the cost of the surface
+    /// area heuristic).
+    #[must_use]
+    pub fn tests_per_ray(&self) -> f32 {
+        let all = self.bounds().half_area().max(f32::MIN_POSITIVE);
+        let tests = |node: &Node| node.bounds.half_area() / all * f32::from(node.count);
+        self.nodes.iter().map(tests).sum()
+    }
+
     /// Nearest hit with `t` in `(t_min, t_max)` of one ray.
     #[must_use]
     pub fn nearest(&self, origin: &P3, direction: &P3, t_min: f32, t_max: f32) -> Option<Hit> {
@@ -475,6 +484,7 @@ mod tests {
     #[test]
     fn an_empty_scene_is_never_hit() {
         let bvh = Bvh::new(&[]);
+        assert!(bvh.tests_per_ray().abs() < 1e-6);
         let hit = bvh.nearest(&P3::zeros(), &P3::new(0.0, 0.0, 1.0), 0.0, f32::INFINITY);
         assert_eq!(hit, None);
     }

@@ -117,9 +117,14 @@ impl World {
         }
     }
 
-    /// A mesh as a world.
-    #[must_use]
-    pub fn from_model(name: &str, model: &MeshModel, lighting: MeshLighting) -> Self {
+    /// A mesh as a world; `None` where so many of its triangles lie in one another that a ray would
+    /// be compared with more than `max_tests` of them.
+    pub(crate) fn from_model(
+        name: &str,
+        model: &MeshModel,
+        lighting: MeshLighting,
+        max_tests: f32,
+    ) -> Option<Self> {
         let mesh = &model.mesh;
         let triangle = |t: &[u32; 3]| {
             let [a, b, c] = t.map(|k| P3::from(mesh.vertices[k as usize]));
@@ -131,13 +136,16 @@ impl World {
             .filter(|(_, triangle)| triangle.scaled_normal().norm() > 0.0)
             .unzip();
         let bvh = Bvh::new(&triangles);
+        if bvh.tests_per_ray() > max_tests {
+            return None;
+        }
         let light = vertex_light(mesh, &bvh, lighting);
         let materials = model.all_materials();
         let shading = bvh.ids.iter().zip(&bvh.triangles).map(|(&id, triangle)| {
             mesh_shading(model, &materials, &light, used[id as usize], triangle)
         });
         let shading = shading.collect();
-        Self::unlit(name, bvh, shading, materials)
+        Some(Self::unlit(name, bvh, shading, materials))
     }
 
     /// Its name.

@@ -43,6 +43,10 @@ pub enum MeshLighting {
     AsColoured,
 }
 
+/// Triangles that a ray may be compared with, on average. Rooms need a few dozen, however many
+/// triangles they have; a small file of triangles in one another would take hours.
+const MAX_TESTS_PER_RAY: f32 = 1000.0;
+
 /// Reflectance of surfaces without any information.
 const UNKNOWN_ALBEDO: f32 = 0.5;
 
@@ -50,13 +54,18 @@ impl World {
     /// A mesh file as a world, by its extension (`.obj`, `.ply`).
     ///
     /// # Errors
-    /// When the file, its materials or its textures cannot be read.
+    /// When the file, its materials or its textures cannot be read, or most of its triangles lie in
+    /// one another.
     pub fn from_file(path: &Path, lighting: MeshLighting) -> Result<Self, DatasetError> {
         let model = MeshModel::read(path)?;
         let name = path
             .file_stem()
             .map_or_else(|| "mesh".into(), |s| s.to_string_lossy());
-        Ok(Self::from_model(&name, &model, lighting))
+        let world = Self::from_model(&name, &model, lighting, MAX_TESTS_PER_RAY);
+        world.ok_or_else(|| {
+            let found = "triangles that lie in one another";
+            DatasetError::content(path, found, "a surface, as scans and models have it")
+        })
     }
 }
 
@@ -228,6 +237,25 @@ mod tests {
             let error = MeshModel::read(&path).unwrap_err().to_string();
             assert!(error.contains(name), "{error}");
         }
+    }
+
+    #[test]
+    fn a_mesh_whose_triangles_lie_in_one_another_is_no_world() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.obj");
+        let corner = |n: usize| format!("v {} {} {}\n", n % 300, n * 7 % 293, n * 11 % 17);
+        let corners: String = (0..12_000).map(corner).collect();
+        let one = |n: usize| format!(" {n}");
+        let polygon: String = (1..=12_000).map(one).collect();
+        std::fs::write(&path, format!("{corners}f{polygon}\n")).unwrap();
+        let error = World::from_file(&path, MeshLighting::Shaded).err().unwrap();
+        assert!(error.to_string().contains("in one another"), "{error}");
+        // those of a room lie beside each other
+        let room = crate::World::by_name_with("office", &LightingConfig::quick()).unwrap();
+        let path = folder.path().join("room.ply");
+        write_ply(&path, &room.mesh()).unwrap();
+        let read = World::from_file(&path, MeshLighting::AsColoured);
+        assert_eq!(read.err().map(|error| error.to_string()), None);
     }
 
     #[test]
