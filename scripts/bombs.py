@@ -206,6 +206,90 @@ def plain_tiff(folder):
     return images(folder, tiff(3500, 3500, 16), "tif")
 
 
+def rows_png(rows, width):
+    """Of these rows, each a byte per pixel."""
+    data = zlib.compress(b"".join(b"\0" + row for row in rows), 9)
+    header = struct.pack(">IIBBBBB", width, len(rows), 8, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+
+
+@bomb(*IMAGE_COMMANDS, "calibrate IN --aprilgrid 6x6 --out OUT", "calibrate IN --out OUT")
+def png_of_a_fine_chessboard(folder):
+    rows = [bytes([0, 255][(x // 8 + y // 8) % 2] for x in range(2000)) for y in range(0, 16, 8)]
+    return images(folder, rows_png([rows[y // 8 % 2] for y in range(2000)], 2000), "png")
+
+
+@bomb(*IMAGE_COMMANDS, "calibrate IN --aprilgrid 6x6 --out OUT", "calibrate IN --out OUT")
+def png_of_squares_in_squares(folder):
+    side = 2000
+    ring = lambda x, y: min(x, y, side - 1 - x, side - 1 - y) // 4 % 2
+    rows = [bytes(255 * ring(x, y) for x in range(side)) for y in range(side)]
+    return images(folder, rows_png(rows, side), "png", 20)
+
+
+@bomb(*SEQUENCE)
+def png_of_large_profiles(folder):
+    picture = png(64, 64)
+    zeros = zlib.compress(bytes(60 << 20), 9)
+    profile = chunk(b"iCCP", b"a\0\0" + zeros) + chunk(b"zTXt", b"a\0\0" + zeros)
+    return images(folder, picture[:33] + profile + picture[33:], "png")
+
+
+@bomb(*SEQUENCE)
+def png_in_seven_passes(folder):
+    picture = png(3500, 3500)
+    header = struct.pack(">IIBBBBB", 3500, 3500, 8, 0, 0, 0, 1)
+    # more rows than it needs
+    data = zlib.compress(bytes(3500 * 3500 + 4 * 3500), 9)
+    picture = picture[:8] + chunk(b"IHDR", header) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+    return images(folder, picture, "png")
+
+
+def tiled_tiff(width, height, tile, data, compression):
+    across, down = -(-width // tile), -(-height // tile)
+    count = across * down
+    start = 8 + len(data) + len(data) % 2
+    places, lengths = struct.pack(f"<{count}I", *[8] * count), struct.pack(f"<{count}I", *[len(data)] * count)
+    entries = [
+        (256, 4, 1, width), (257, 4, 1, height), (258, 3, 1, 8), (259, 3, 1, compression), (262, 3, 1, 1), (277, 3, 1, 1),
+        (322, 4, 1, tile), (323, 4, 1, tile), (324, 4, count, start if count > 1 else 8), (325, 4, count, start + 4 * count if count > 1 else len(data)),
+    ]
+    table = struct.pack("<H", len(entries))
+    for tag, kind, number, value in entries:
+        table += struct.pack("<HHI", tag, kind, number) + (struct.pack("<HH", value, 0) if kind == 3 else struct.pack("<I", value))
+    at = start + 8 * count
+    return b"II*\0" + struct.pack("<I", at) + data + bytes(len(data) % 2) + places + lengths + table + bytes(4)
+
+
+@bomb(*SEQUENCE)
+def tiff_whose_tiles_are_one(folder):
+    return images(folder, tiled_tiff(3456, 3456, 16, zlib.compress(bytes(256), 9), 8), "tif", 2)
+
+
+@bomb(*SEQUENCE)
+def tiff_of_one_huge_tile(folder):
+    return images(folder, tiled_tiff(64, 64, 16_000, zlib.compress(bytes(16_000 * 16_000), 9), 8), "tif", 3)
+
+
+@bomb(*SEQUENCE)
+def tiff_of_packed_bits(folder):
+    # 128 times the same byte in two
+    return images(folder, tiled_tiff(3456, 3456, 3456, b"\x81\0" * (3456 * 3456 // 128), 32773), "tif")
+
+
+@bomb("check IN --fov 60", "run IN --fov 60 --out OUT", "batch IN --out OUT --timeout 60")
+def many_files_of_nothing(folder):
+    return images(folder, b"\x89PNG\r\n\x1a\n", "png", 60_000)
+
+
+@bomb("check IN --fov 60", "run IN --fov 60 --out OUT")
+def times_far_apart(folder):
+    target = images(folder, png(320, 240), "png", 3)
+    lines = "".join(f"{n * n * n * 1e5:.6f} {n % 3:04}.png\n" for n in range(40))
+    (target / "rgb.txt").write_text(lines)
+    return target
+
+
 @bomb("check IN --fov 60", "run IN --fov 60 --out OUT")
 def huge_headers(folder):
     target = images(folder, png(16, 16), "png", 1)
@@ -361,6 +445,31 @@ def write_map(folder, name, data):
     return path
 
 
+def other_sizes(folder):
+    """Maps of small and large cells beside a map, and motions that make it small and large."""
+    for name, size in (("small", b"1e-6"), ("large", b"1000")):
+        (folder / f"{name}.bt").write_bytes(bt([(32_768 + x, 32_768, 32_768) for x in range(64)]).replace(b"res 0.05", b"res " + size))
+    (folder / "grow.txt").write_text("100000 0 0 0 0 0 0 1\n")
+    (folder / "shrink.txt").write_text("0.00001 0 0 0 0 0 0 1\n")
+
+
+BESIDE = [f"{command} {order}" for command in ("evaluate map", "evaluate paths", "diff", "merge --out OUT.ot")
+          for order in ("IN DIR/small.bt", "IN DIR/large.bt", "DIR/small.bt IN", "DIR/large.bt IN")]
+BESIDE += [f"transform IN OUT.ot --sim3 DIR/{motion}.txt{more}" for motion in ("grow", "shrink", "turn") for more in ("", " --resolution 0.05")]
+
+
+@bomb(*BESIDE)
+def map_of_another_size(folder):
+    other_sizes(folder)
+    return write_map(folder, "a.bt", bt([(32_768 + x, 32_768 + y, 32_768) for x in range(30) for y in range(30)]))
+
+
+@bomb(*BESIDE)
+def room_of_another_size(folder):
+    other_sizes(folder)
+    return write_map(folder, "a.bt", room(6))
+
+
 @bomb(*MAPS)
 def bt_of_two_corners(folder):
     return write_map(folder, "a.bt", bt([(0, 0, 0), (65535, 65535, 65535)]))
@@ -490,7 +599,7 @@ def mgo_of_as_many_bricks_as_are_read(folder):
 # recordings
 
 RECORDINGS = [
-    "map IN --out OUT.ot", "map IN --out OUT.ot --quality fast", "view IN --html OUT.html", "rescale IN --scale-from factor=2 --out OUT",
+    "map IN --out OUT.ot", "map IN --out OUT.ot --set mapping.quality=fast", "view IN --html OUT.html", "rescale IN --scale-from factor=2 --out OUT",
     "evaluate depth IN DIR", "merge-runs IN IN --out OUT", "sweep IN --resolutions 0.4 --out OUT", "run IN --out OUT",
     "run --continue IN DIR --fov 60 --out OUT",
 ]
@@ -566,6 +675,31 @@ def mgk_of_far_points(folder):
     return path
 
 
+@bomb(*RECORDINGS)
+def mgk_of_many_keyframes(folder):
+    path = folder / "a.mgk"
+    path.write_bytes(mgk([keyframe(n, 0, 0, 0, b"", PIXELS[:3]) for n in range(4500)], 320, 240))
+    return path
+
+
+def noise(width, height, seed):
+    state, out = seed, bytearray()
+    for _ in range(width * height):
+        state = (state * 1_103_515_245 + 12_345) & 0x7FFFFFFF
+        out.append(state >> 16 & 255)
+    return bytes(out)
+
+
+@bomb(*RECORDINGS)
+def mgk_of_many_small_images(folder):
+    side = (80, 60)
+    pixels = [(x, y, 0.5 + x / 200, 0.01) for x in range(4, 76, 9) for y in range(4, 56, 9)]
+    frames = [keyframe(n, *side, 1, noise(*side, n // 2), pixels) for n in range(180)]
+    path = folder / "a.mgk"
+    path.write_bytes(mgk(frames, *side))
+    return path
+
+
 @bomb("map IN --out OUT.ot", "info IN", "view IN --html OUT.html", "map DIR/submaps.json --out OUT.ot")
 def mgs_of_deflated_depth(folder):
     blocks, out = b"", b"mgsubmap" + struct.pack("<II", 1, 0)
@@ -621,13 +755,13 @@ def text(word):
     return struct.pack("<I", len(word)) + word
 
 
-def mcap(records, chunks):
+def mcap(records, chunks, schema=b"sensor_msgs/msg/Image", written=b"cdr"):
     def op(code, body):
         return bytes([code]) + struct.pack("<Q", len(body)) + body
 
     out = b"\x89MCAP0\r\n" + op(1, text(b"ros2") + text(b"x"))
-    out += op(3, struct.pack("<H", 1) + text(b"sensor_msgs/msg/Image") + text(b"ros2msg") + text(b""))
-    out += op(4, struct.pack("<HH", 1, 1) + text(b"/image") + text(b"cdr") + text(b""))
+    out += op(3, struct.pack("<H", 1) + text(schema) + text(b"ros2msg") + text(b""))
+    out += op(4, struct.pack("<HH", 1, 1) + text(b"/image") + text(written) + text(b""))
     for body in records:
         out += op(5, struct.pack("<HIQQ", 1, 0, 5, 5) + body)
     for compression, size, data in chunks:
@@ -668,6 +802,54 @@ def mcap_of_large_images(folder):
     return path
 
 
+@bomb(*BAG)
+def mcap_of_a_still_video(folder):
+    sps, pps, first, again = h264(256, 144)
+    start = b"\0\0\0\1"
+    packets = [start + start.join((sps, pps, first))] + [start + start.join(again(1000 * k + n + 1) for n in range(1000)) for k in range(30)]
+    return video_packets(folder, packets)
+
+
+@bomb(*BAG)
+def mcap_of_a_video_of_slices(folder):
+    sps, pps, first, again = h264(256, 144, start=1)
+    start = b"\0\0\0\1"
+    packets = [start + start.join((sps, pps, first))] + [start + start.join([again(k + 1)] * 1000) for k in range(30)]
+    return video_packets(folder, packets)
+
+
+def video_packets(folder, packets):
+    def varint(value):
+        out = b""
+        while value >= 128:
+            out += bytes([value & 127 | 128])
+            value >>= 7
+        return out + bytes([value])
+
+    def message(time, data):
+        stamp = b"\x08" + varint(time // 30) + b"\x10" + varint(time % 30 * 33_000_000)
+        return b"\x0a" + varint(len(stamp)) + stamp + b"\x1a" + varint(len(data)) + data + b"\x22\x04h264"
+
+    messages = [message(time, data) for time, data in enumerate(packets)]
+    path = folder / "a.mcap"
+    path.write_bytes(mcap(messages, [], b"foxglove.CompressedVideo", b"protobuf"))
+    return path
+
+
+@bomb(*BAG)
+def mcap_of_many_topics(folder):
+    def op(code, body):
+        return bytes([code]) + struct.pack("<Q", len(body)) + body
+
+    out = b"\x89MCAP0\r\n" + op(1, text(b"ros2") + text(b"x"))
+    for n in range(1, 13_000):
+        out += op(3, struct.pack("<H", n) + text(b"a/I") + text(b"") + text(b""))
+        out += op(4, struct.pack("<HH", n, n) + text(b"/%d" % n) + text(b"cdr") + text(b""))
+    path = folder / "a.mcap"
+    path.write_bytes(out + op(15, struct.pack("<I", 0)) + op(2, bytes(20)) + b"\x89MCAP0\r\n")
+    return path
+
+
 def ros1(fields, data):
     header = b"".join(struct.pack("<I", len(name) + 1 + len(value)) + name + b"=" + value for name, value in fields.items())
     return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
@@ -689,11 +871,11 @@ def bag_of_bz2_zeros(folder):
 def ros1_images(kind, content, count):
     """A connection and messages."""
     of_type = struct.pack("<I", 5 + len(kind)) + b"type=" + kind
-    out = ros1({b"op": b"\7", b"conn": bytes(4), b"topic": b"/image/compressed"}, of_type)
+    out = [ros1({b"op": b"\7", b"conn": bytes(4), b"topic": b"/image/compressed"}, of_type)]
     for number in range(count):
         time = struct.pack("<II", number // 30, number % 30 * 33_000_000)
-        out += ros1({b"op": b"\2", b"conn": bytes(4), b"time": time}, struct.pack("<I", number) + time + bytes(4) + content)
-    return out
+        out.append(ros1({b"op": b"\2", b"conn": bytes(4), b"time": time}, struct.pack("<I", number) + time + bytes(4) + content))
+    return b"".join(out)
 
 
 @bomb(*BAG)
@@ -711,7 +893,7 @@ def bag_of_tiny_images(folder):
 
 @bomb(*BAG)
 def bag_of_messages_of_nothing(folder):
-    return bag(folder, ros1_images(b"sensor_msgs/Image", b"", 250_000), 8)
+    return bag(folder, ros1_images(b"sensor_msgs/Image", b"", 120_000), 8)
 
 
 def sqlite(rows, overflow):
@@ -791,6 +973,45 @@ def sqlite(rows, overflow):
 def db3_whose_rows_are_one(folder):
     path = folder / "a.db3"
     path.write_bytes(sqlite(1500, cdr_image(900, 900, bytes(900 * 900))))
+    return path
+
+
+def pages_above(children):
+    """A page of SQLite that leads to these."""
+    page, end = bytearray(4096), 4096
+    page[0] = 5
+    page[3:5] = struct.pack(">H", len(children) - 1)
+    for index, child in enumerate(children[:-1]):
+        cell = struct.pack(">I", child) + b"\x05"
+        end -= len(cell)
+        page[end : end + len(cell)] = cell
+        page[12 + 2 * index : 14 + 2 * index] = struct.pack(">H", end)
+    page[5:7] = struct.pack(">H", end)
+    page[8:12] = struct.pack(">I", children[-1])
+    return bytes(page)
+
+
+@bomb(*BAG)
+def db3_whose_pages_are_one(folder):
+    # each of thirty pages leads 400 times to the next
+    data = sqlite(1500, cdr_image(64, 64, bytes(4096)))
+    pages = [data[at : at + 4096] for at in range(0, len(data), 4096)]
+    leaf = len(pages) + 1
+    pages.append(pages[2])
+    following = [leaf + 1 + n for n in range(29)] + [leaf]
+    pages[2] = pages_above([following[0]] * 400)
+    pages += [pages_above([page] * 400) for page in following[1:]]
+    path = folder / "a.db3"
+    path.write_bytes(b"".join(pages))
+    return path
+
+
+@bomb(*BAG)
+def db3_that_leads_to_itself(folder):
+    data = bytearray(sqlite(1500, cdr_image(64, 64, bytes(4096))))
+    data[8192:12_288] = pages_above([3] * 400)
+    path = folder / "a.db3"
+    path.write_bytes(data)
     return path
 
 
@@ -986,6 +1207,90 @@ def mp4_of_billions(folder):
 
 
 @bomb(*VIDEO)
+def mp4_of_boxes_in_boxes(folder):
+    path = folder / "a.mp4"
+    content = b""
+    for _ in range(3000):
+        content = box(b"moov", content)
+    path.write_bytes(box(b"ftyp", b"isom\0\0\0\0isomavc1") + content)
+    return path
+
+
+@bomb(*VIDEO)
+def mp4_of_many_tracks(folder):
+    path = folder / "a.mp4"
+    path.write_bytes(box(b"ftyp", b"isom\0\0\0\0isomavc1") + box(b"moov", box(b"mvhd", bytes(100)), box(b"trak") * 120_000))
+    return path
+
+
+@bomb(*VIDEO)
+def gif_of_large_pictures(folder):
+    side = 5700
+    path = folder / "a.gif"
+    picture = lzw_zeros(side * side)
+    frame = b"," + struct.pack("<HHHHB", 0, 0, side, side, 0) + b"\x08" + picture
+    head = b"GIF89a" + struct.pack("<HHBBB", side, side, 0xF7, 0, 0) + bytes(768)
+    path.write_bytes(head + (b"!\xf9\x04\0\x03\0\0\0" + frame) * (900_000 // len(frame)) + b";")
+    return path
+
+
+def lzw_zeros(count):
+    """So many zeros as blocks of GIF: each code stands for one more than the one before it."""
+    value, length, out = 0, 0, bytearray()
+
+    def put(code, width):
+        nonlocal value, length
+        value |= code << length
+        length += width
+        while length >= 8:
+            out.append(value & 255)
+            value >>= 8
+            length -= 8
+
+    put(256, 9)
+    left = count
+    while left > 0:
+        width, following, run = 9, 258, 1
+        put(0, width)
+        left -= 1
+        # each code is new: the one before it and a zero more
+        while left > 0 and following < 4094:
+            run = min(run + 1, left)
+            put(following if run > 1 else 0, width)
+            following += 1
+            if following == 1 << width and width < 12:
+                width += 1
+            left -= run
+        if left > 0:
+            put(256, width)
+    put(257, 12)
+    put(0, 8)
+    return b"".join(bytes([len(out[at : at + 255])]) + out[at : at + 255] for at in range(0, len(out), 255)) + b"\0"
+
+
+@bomb(*VIDEO)
+def apng_of_large_pictures(folder):
+    side = 5700
+    picture = zlib.compress(bytes((side + 1) * side), 9)
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0))
+    count = 900_000 // len(picture)
+    control = lambda n: chunk(b"fcTL", struct.pack(">IIIIIHHBB", n, side, side, 0, 0, 1, 30, 0, 0))
+    frames = control(0) + chunk(b"IDAT", picture)
+    for n in range(1, count):
+        frames += control(2 * n - 1) + chunk(b"fdAT", struct.pack(">I", 2 * n) + picture)
+    path = folder / "a.apng"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + header + chunk(b"acTL", struct.pack(">II", count, 0)) + frames + chunk(b"IEND", b""))
+    return path
+
+
+@bomb(*VIDEO)
+def y4m_of_years(folder):
+    path = folder / "a.y4m"
+    path.write_bytes(b"YUV4MPEG2 W64 H64 F1:400000000 Cmono\n" + (b"FRAME\n" + bytes(64 * 64)) * 200)
+    return path
+
+
+@bomb(*VIDEO)
 def y4m_of_a_huge_header(folder):
     path = folder / "a.y4m"
     path.write_bytes(b"YUV4MPEG2 W8000 H8000 F30:1 Cmono\nFRAME\n" + bytes(900_000))
@@ -1058,6 +1363,15 @@ def imu_of_many_readings(folder):
     images(folder, png(64, 64), "png", 3)
     path = folder / "imu.csv"
     path.write_text("".join(f"{n},0,0,0,0,0,9\n" for n in range(50_000)))
+    return path
+
+
+@bomb("run DIR/images --imu IN --imu-from-camera DIR/mount.txt --fov 60 --out OUT", "check DIR/images --imu IN --fov 60")
+def imu_of_years(folder):
+    images(folder, png(320, 240), "png", 40)
+    (folder / "mount.txt").write_text("0 0 0 0 0 0 1\n")
+    path = folder / "imu.csv"
+    path.write_text("".join(f"{n * n * 10**14 if n % 2 else n},0.1,0,0,0,0,9\n" for n in range(300)))
     return path
 
 
@@ -1185,6 +1499,32 @@ def ply_of_empty_faces(folder):
 
 
 @bomb(*MESHES)
+def ply_of_rows_of_nothing(folder):
+    head = "ply\nformat ascii 1.0\nelement nothing 4000000000\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    return mesh(folder, "a.ply", head.replace("ascii", "binary_little_endian") + "end_header\n" + "a" * 36)
+
+
+@bomb(*MESHES)
+def ply_of_lists_of_nothing(folder):
+    head = "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    head += "".join(f"property list uchar double a{n}\n" for n in range(19_000))
+    return mesh(folder, "a.ply", head.encode() + b"end_header\n" + bytes(400_000))
+
+
+@bomb(*MESHES)
+def obj_of_one_polygon(folder):
+    corners = "".join(f"v {n % 300} {n * 7 % 293} {n * 11 % 17}\n" for n in range(20_000))
+    return mesh(folder, "a.obj", corners + "f " + " ".join(str(n) for n in range(1, 20_001)) + "\n")
+
+
+@bomb(*MESHES)
+def pcd_that_is_packed(folder):
+    head = b"VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 300000000\nHEIGHT 1\nPOINTS 300000000\nDATA binary_compressed\n"
+    # LZF: 264 bytes of what was before in three
+    return mesh(folder, "a.pcd", head + struct.pack("<II", 900_000, 3_600_000_000) + b"\0\0" + b"\xe0\xff\0" * 299_999)
+
+
+@bomb(*MESHES)
 def ply_of_long_lists(folder):
     head = b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
     head += b"element face 2\nproperty list uint uchar vertex_indices\nend_header\n"
@@ -1209,7 +1549,7 @@ def scans_of_far_points(folder):
     return mesh(folder, "a.scans", struct.pack("<II", 0x4F474D31, 1) + struct.pack("<12d", 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0) + struct.pack("<I", 50_000) + points)
 
 
-@bomb("map IN --out OUT.ot", "run IN --fov 60 --out OUT")
+@bomb("map IN --out OUT.ot", "run IN --fov 60 --out OUT", "truth IN --out OUT.ot", "truth IN --every 1 --resolution 0.01 --out OUT.ot")
 def depth_images_of_plain(folder):
     depth = folder / "set" / "depth"
     depth.mkdir(parents=True)
