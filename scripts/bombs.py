@@ -1371,7 +1371,7 @@ def imu_of_years(folder):
     images(folder, png(320, 240), "png", 40)
     (folder / "mount.txt").write_text("0 0 0 0 0 0 1\n")
     path = folder / "imu.csv"
-    path.write_text("".join(f"{n * n * 10**14 if n % 2 else n},0.1,0,0,0,0,9\n" for n in range(300)))
+    path.write_text("".join(f"{n * n * 10**13},0.1,0,0,0,0,9\n" for n in range(300)))
     return path
 
 

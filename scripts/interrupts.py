@@ -41,6 +41,13 @@ class Scene:
             (folder / "rgb.txt").write_text((self.room / "rgb.txt").read_text())
         return folder
 
+    def earlier(self):
+        """A run of the same room."""
+        folder = self.folder / "earlier"
+        if not folder.exists():
+            subprocess.run([self.program, "run", str(self.room), "--out", str(folder)], check=True, capture_output=True)
+        return folder
+
     def archive(self):
         """One that takes seconds to decompress."""
         path = self.folder / "room.tar.gz"
@@ -97,6 +104,11 @@ def states(scene):
     yield "tracking large images", [str(scene.room), *large], "working size", 2.0, None, None
     for after in (0.05, 1.0, 3.0):
         yield f"final depth and maps, {after} s", [str(scene.room), *large], "depth and maps of", after, None, None
+    yield "at the pace of the camera", [str(scene.room), "--realtime"], "working size", 1.0, None, None
+    yield "shown in a browser", [str(scene.room), "--view"], "working size", 1.0, None, None
+    yield "in submaps", [str(scene.room), "--submaps=2"], "working size", 2.0, None, None
+    yield "reading an earlier map", [str(scene.room), "--continue", str(scene.earlier())], None, 0.1, None, None
+    yield "going on with an earlier map", [str(scene.room), "--continue", str(scene.earlier())], "working size", 1.0, None, None
     yield "end of a run", [str(scene.room)], "depth and maps of", 0.0, None, None
     yield "pipe that stalls", ["-", "--fov", "60"], None, 1.5, scene.y4m(), None
     yield "pipe before its header", ["-", "--fov", "60"], None, 1.0, b"YUV4", None
