@@ -782,7 +782,7 @@ BAG = ["check IN --fov 60", "run IN --fov 60 --out OUT"]
 @bomb(*BAG)
 def mcap_of_zeros(folder):
     path = folder / "a.mcap"
-    size = 32 << 20
+    size = 16 << 20
     path.write_bytes(mcap([], [(b"zstd", size, zstd_of_zeros(size))] * 900)[:MAX_BYTES])
     return path
 
@@ -790,7 +790,7 @@ def mcap_of_zeros(folder):
 @bomb(*BAG)
 def mcap_of_large_images(folder):
     # an image whose pixels are in the same chunk, as zeros
-    width, height = 5700, 5700
+    width, height = 4000, 4000
     head = bytes([5]) + struct.pack("<Q", 22 + len(cdr_image(width, height)) + width * height) + struct.pack("<HIQQ", 1, 0, 5, 5)
     head += cdr_image(width, height)
     size = len(head) + width * height
@@ -865,7 +865,7 @@ def bag(folder, content, count):
 
 @bomb(*BAG)
 def bag_of_bz2_zeros(folder):
-    return bag(folder, bytes(30 << 20), 1000)
+    return bag(folder, bytes(15 << 20), 1000)
 
 
 def ros1_images(kind, content, count):
@@ -882,13 +882,13 @@ def ros1_images(kind, content, count):
 def bag_of_plain_jpegs(folder):
     picture = jpeg(3500, 3500)
     content = text(b"jpeg") + text(picture)
-    return bag(folder, ros1_images(b"sensor_msgs/CompressedImage", content, (30 << 20) // len(content)), 8)
+    return bag(folder, ros1_images(b"sensor_msgs/CompressedImage", content, (15 << 20) // len(content)), 8)
 
 
 @bomb(*BAG)
 def bag_of_tiny_images(folder):
     content = struct.pack("<II", 8, 8) + text(b"mono8") + b"\0" + struct.pack("<I", 8) + text(bytes(64))
-    return bag(folder, ros1_images(b"sensor_msgs/Image", content, 120_000), 8)
+    return bag(folder, ros1_images(b"sensor_msgs/Image", content, 100_000), 8)
 
 
 @bomb(*BAG)
@@ -1017,7 +1017,7 @@ def db3_that_leads_to_itself(folder):
 
 @bomb(*BAG)
 def db3_of_zstd_messages(folder):
-    width = height = 5700
+    width = height = 4000
     head = cdr_image(width, height)
     zeros = zstd_of_zeros(width * height)
     raw = struct.pack("<I", len(head) << 3)[:3] + head

@@ -11,9 +11,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Most bytes of a record: an image of 8K in colour is a tenth of it.
 const MAX_BYTES: u64 = 1 << 30;
 
-/// Bytes that any chunk may hold, and how many more for each of its own: recorders write chunks of
-/// one to four megabytes, and images hardly shrink.
-const CHUNK_BYTES: u64 = 32 << 20;
+/// Bytes that any chunk may hold, and how many more for each of its own: recorders write chunks of one to four megabytes,
+/// and images hardly shrink. A plain image of so many pixels is some 300 MB of memory on its way.
+const CHUNK_BYTES: u64 = 16 << 20;
 const CHUNK_GROWTH: u64 = 8;
 
 /// Bytes that may come out of all that is compressed in a file, and how many more for each of its
@@ -212,23 +212,23 @@ mod tests {
         // one that lies is cut off behind what it claims
         let error = unpacked(&bomb, 1 << 20).unwrap_err();
         assert!(error.contains("holds 1048577 bytes"), "{error}");
-        let plain = zeros(32 << 20);
-        assert_eq!(unpacked(&plain, 32 << 20).unwrap().len(), 32 << 20);
+        let plain = zeros(16 << 20);
+        assert_eq!(unpacked(&plain, 16 << 20).unwrap().len(), 16 << 20);
     }
 
     #[test]
     fn many_chunks_do_not_grow_without_bound_either() {
-        let chunk = zeros(32 << 20);
+        let chunk = zeros(16 << 20);
         let unpacker = Unpacker::default();
-        let unpack = || unpacker.unpacked("bz2", &chunk, 32 << 20);
+        let unpack = || unpacker.unpacked("bz2", &chunk, 16 << 20);
         let count = std::iter::from_fn(|| unpack().ok()).count();
-        assert_eq!(count, 8, "256 MiB");
+        assert_eq!(count, 16, "256 MiB");
         let error = unpack().unwrap_err();
         assert!(error.contains("file of 0 bytes holds"), "{error}");
         // a file of 512 kB may hold 32 MiB more
         let larger = Unpacker::of_file(1 << 19);
-        let unpack = || larger.unpacked("bz2", &chunk, 32 << 20);
-        assert_eq!(std::iter::from_fn(|| unpack().ok()).count(), 9);
+        let unpack = || larger.unpacked("bz2", &chunk, 16 << 20);
+        assert_eq!(std::iter::from_fn(|| unpack().ok()).count(), 18);
     }
 
     /// Zeros as zstd: four bytes for 128 kB of them.
