@@ -11,8 +11,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Most bytes of a record: an image of 8K in colour is a tenth of it.
 const MAX_BYTES: u64 = 1 << 30;
 
-/// Bytes that any chunk may hold, and how many more for each of its own: recorders write chunks of one to four megabytes,
-/// and images hardly shrink. A plain image of so many pixels is some 300 MB of memory on its way.
+/// Bytes that any chunk may hold, and how many more for each of its own: recorders write chunks of
+/// one to four megabytes, and images hardly shrink. A plain image of so many pixels is some 300 MB
+/// of memory on its way.
 const CHUNK_BYTES: u64 = 16 << 20;
 const CHUNK_GROWTH: u64 = 8;
 

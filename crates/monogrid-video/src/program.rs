@@ -92,8 +92,8 @@ impl State {
     }
 }
 
-/// Puts the program into a group of its own; where the system can do that (Linux), it ends with this
-/// process however that ends, and takes no more memory than it may.
+/// Puts the program into a group of its own; where the system can do that (Linux), it ends with
+/// this process however that ends, and takes no more memory than it may.
 fn bind(command: &mut Command, most_bytes: Option<u64>) {
     #[cfg(not(target_os = "linux"))]
     let _ = most_bytes;

@@ -190,8 +190,8 @@ impl Bvh {
         self.nodes[0].bounds
     }
 
-    /// Triangles that a line through the scene is compared with, on average (the cost of the surface
-    /// area heuristic).
+    /// Triangles that a line through the scene is compared with, on average (the cost of the
+    /// surface area heuristic).
     #[must_use]
     pub fn tests_per_ray(&self) -> f32 {
         let all = self.bounds().half_area().max(f32::MIN_POSITIVE);
