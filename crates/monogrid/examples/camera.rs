@@ -1,5 +1,4 @@
-//! A camera, stream or video: `cargo run --example camera -- /dev/video0 calibration.txt map.ot`;
-//! the map grows with each keyframe.
+//! A growing map: `cargo run --example camera -- /dev/video0 calibration.txt map.ot`, or a video.
 #![allow(clippy::print_stdout, reason = "it talks to its user")]
 use monogrid::occupancy::{save_atomically, write_ot};
 use monogrid::{Calibration, Pipeline, Settings, video::Video};

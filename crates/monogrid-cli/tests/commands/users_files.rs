@@ -238,6 +238,7 @@ impl Sources {
         let rescale = "@run --scale-from trajectory:@poses.txt";
         let merge_runs = "@run @later.mgk --config @settings.toml";
         let read_by_merge_runs = "run/recording.mgk run/map_from_world.txt later.mgk settings.toml";
+        let read_by_export = "run/recording.mgk run/map_from_world.txt";
         let read_by_rescale = "run/recording.mgk run/summary.json poses.txt";
         vec![
             self.call("run", "--out", "", run, read_by_run),
@@ -257,6 +258,7 @@ impl Sources {
             self.call("slice", "", "", "@map.ot", "map.ot"),
             self.call("thesis sweep", "--out", "", sweep, "recording.mgk map.ot"),
             self.call("rescale", "--out", "", rescale, read_by_rescale),
+            self.call("export", "--out", "", "@run --to colmap", read_by_export),
             self.call("merge-runs", "--out", "", merge_runs, read_by_merge_runs),
         ]
     }
@@ -359,6 +361,7 @@ impl Call {
             "man" => &["monogrid.1", "monogrid-evaluate-map.1"],
             "slice" => &["slice_0000.png"],
             "merge-runs" => &["recording.mgk", "apart_1/recording.mgk", "global.ot"],
+            "export" => &["images/00000.png", "sparse/0/images.txt"],
             "rescale" => &["recording.mgk", "summary.json", "global.ot"],
             "thesis sweep" => &["sweep.json", "sweep.html", "maps.csv"],
             other => panic!("what does {other} write?"),

@@ -12,11 +12,12 @@ mod reconstruction;
 #[cfg(test)]
 mod tests;
 
+use crate::commands::runs::rescale::SUMMARY;
 use clap::{Args, ValueEnum};
 use monogrid_app::args::WriteArgs;
 use monogrid_app::output::{Inputs, OutputFile, OutputFolder};
 use monogrid_app::process::failure::{CommandResult, Failure};
-use monogrid_app::run::sessions::{Source, files_of};
+use monogrid_app::run::sessions::{MAP_FROM_WORLD, Source, files_of};
 use reconstruction::Reconstruction;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -60,7 +61,7 @@ pub fn execute(args: &ExportArgs) -> CommandResult {
 }
 
 fn inputs_of(run: &Path) -> Inputs {
-    let own = [files::MESH, files::CLOUD].map(|name| run.join(name));
+    let own = [files::MESH, files::CLOUD, MAP_FROM_WORLD, SUMMARY].map(|name| run.join(name));
     Inputs::of("the run", run)
         .and_all("the run", own)
         .and_all("the run", files_of(run))
