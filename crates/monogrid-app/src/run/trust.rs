@@ -35,6 +35,11 @@ fn uncertainties(summary: &Summary, is_focal_assumed: bool) -> Vec<Uncertainty> 
     let is_open = summary.loop_closures == 0 && summary.keyframes >= OPEN_PATH;
     let all = [
         (
+            summary.points == 0,
+            "the depth, none of which is precise enough to be mapped",
+            "give --calibration, or move sideways before what is near",
+        ),
+        (
             is_focal_assumed,
             "the focal length, which is assumed: depth and shape may be stretched",
             "turn the camera while moving it sideways, or give --calibration",

@@ -911,3 +911,17 @@ fn an_interrupt_saves_whatever_clients_do() {
         );
     }
 }
+
+#[test]
+fn a_map_of_no_measurement_is_said_to_be_empty() {
+    let dir = tempfile::tempdir().unwrap();
+    let (source, out) = (small_sequence().to_str().unwrap(), dir.path().join("run"));
+    let mut args = vec!["run", source, "--out", out.to_str().unwrap(), "--json"];
+    args.extend(["--seed-depth", "dataset", "--max-frames", "30"]);
+    args.extend(["--set", "mapping.quality=raw"]);
+    args.extend(["--set", "mapping.filter.max_relative_sigma=0.000001"]);
+    let summary = json(&monogrid(args));
+    assert_eq!(summary["points"], 0);
+    let trust = summary["trust"].as_str().unwrap();
+    assert!(trust.contains("none of which is precise enough"), "{trust}");
+}
