@@ -44,11 +44,13 @@ impl PosedDepthFolder {
                 folder.display()
             )));
         }
-        // not every calibration says the size of its images
-        let first = dataset.frames.first().map(|frame| read_gray(&frame.path));
-        let size = first.transpose().bad_input()?;
-        let size = size.map(|image| (image.width(), image.height()));
-        let colour = dataset.calibration(size).bad_input()?.map(|c| c.camera);
+        let colour = dataset.calibration(None).or_else(|_| {
+            // not every calibration says the size of its images
+            let first = dataset.frames.first().map(|frame| read_gray(&frame.path));
+            let size = first.transpose()?;
+            dataset.calibration(size.map(|image| (image.width(), image.height())))
+        });
+        let colour = colour.bad_input()?.map(|calibration| calibration.camera);
         let own = match depth_calibration_file {
             Some(path) => DepthCalibration::read(path).map(Some),
             None => dataset.depth_calibration(),
