@@ -29,7 +29,7 @@ const LARGE_MAPS: &str = "MONOGRID_LARGE_MAPS";
 /// Reads an `.ot`, `.bt` or `.mgo` by its first bytes, whatever its name.
 pub fn load(path: &Path) -> Result<(OccupancyMap, MapFormat), Failure> {
     let (file, bytes) = open_file(path).bad_input()?;
-    let is_trusted = std::env::var_os(LARGE_MAPS).is_some();
+    let is_trusted = is_trusted();
     // what a file may ask for grows with its length
     let length = if is_trusted { u64::MAX } else { bytes };
     let read = read_map(BufReader::new(file), length).map_err(|error| {
@@ -65,11 +65,15 @@ pub fn load(path: &Path) -> Result<(OccupancyMap, MapFormat), Failure> {
 /// `per_byte` more for each byte of larger ones. Anything where the user trusts them.
 #[must_use]
 pub fn allowance(file_bytes: u64, small: u64, per_byte: u64) -> u64 {
-    if std::env::var_os(LARGE_MAPS).is_some() {
+    if is_trusted() {
         return u64::MAX;
     }
     let more = file_bytes.saturating_sub(SMALL_FILE_BYTES);
     small.saturating_add(more.saturating_mul(per_byte))
+}
+
+fn is_trusted() -> bool {
+    std::env::var_os(LARGE_MAPS).is_some()
 }
 
 fn max_bricks(file_bytes: u64) -> u64 {

@@ -80,7 +80,7 @@ impl Intrinsics {
         }
     }
 
-    /// The same camera for images of this size; `None` where its numbers are not those of a real
+    /// This camera for images of another size; `None` where its numbers are not those of a real
     /// one.
     #[must_use]
     pub fn camera(&self, (width, height): (usize, usize)) -> Option<Camera> {

@@ -34,7 +34,7 @@ pub fn keep_little() {
     give_back_at_once(512 << 10);
 }
 
-/// The same for smaller blocks, for what comes after the last frame: keyframes are read back one
+/// Gives smaller blocks back too, for what comes after the last frame: keyframes are read back one
 /// after the other while long lists grow, and leave holes between them.
 pub fn keep_least() {
     // a level of a pyramid but for its smallest

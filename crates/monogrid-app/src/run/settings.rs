@@ -25,7 +25,7 @@ pub struct RunSettings {
     pub threads: usize,
     /// Whether to show a progress bar.
     pub show_progress: bool,
-    /// Who looks at the run while it goes on.
+    /// The live view of the run, where one is asked for.
     pub view: Option<View>,
     /// Memory that the process should stay within.
     pub memory_limit: Option<MemoryLimit>,

@@ -3,6 +3,7 @@
 
 use super::ColouredMesh;
 use crate::ReportError;
+use monogrid_geometry::nalgebra::Vector3;
 use serde_json::{Value, json};
 use std::io::{self, Write};
 use std::path::Path;
@@ -113,19 +114,10 @@ fn write_stl(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result
 }
 
 /// The unit normal of a triangle by the right-hand rule; 0 where it has no area.
-fn normal_of([a, b, c]: &[[f32; 3]; 3]) -> [f32; 3] {
-    let along = |end: &[f32; 3]| [0, 1, 2].map(|axis| end[axis] - a[axis]);
-    let (u, v) = (along(b), along(c));
-    let normal = [
-        u[1] * v[2] - u[2] * v[1],
-        u[2] * v[0] - u[0] * v[2],
-        u[0] * v[1] - u[1] * v[0],
-    ];
-    let length = normal.iter().map(|c| c * c).sum::<f32>().sqrt();
-    match length > 0.0 {
-        true => normal.map(|c| c / length),
-        false => [0.0; 3],
-    }
+fn normal_of(corners: &[[f32; 3]; 3]) -> [f32; 3] {
+    let [a, b, c] = corners.map(Vector3::from);
+    let normal = (b - a).cross(&(c - a)).try_normalize(0.0);
+    normal.unwrap_or_default().into()
 }
 
 /// Magic number, version, and the kinds of the two chunks of a `.glb` (glTF 2.0 specification,

@@ -8,3 +8,14 @@ pub mod report;
 pub mod rescale;
 pub mod run;
 pub mod view;
+
+use monogrid_app::process::failure::Failure;
+use std::path::Path;
+
+/// A file of a run that cannot be read.
+fn unreadable(path: &Path, error: &std::io::Error) -> Failure {
+    Failure::input(format!(
+        "{} cannot be read: {error}; expected the output folder of a finished run",
+        path.display()
+    ))
+}

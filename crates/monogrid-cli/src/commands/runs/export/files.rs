@@ -1,6 +1,6 @@
 //! The surface and the cloud of a run as single files.
 
-use super::{Target, missing};
+use crate::commands::runs::unreadable;
 use monogrid_app::output::OutputFile;
 use monogrid_app::process::failure::{Classify, Failure};
 use monogrid_occupancy::SurfaceMesh;
@@ -62,13 +62,13 @@ fn rows<T: DeserializeOwned>(
 }
 
 fn open(path: &Path) -> Result<PlyReader<BufReader<File>>, Failure> {
-    let file = File::open(path).map_err(|error| missing(path, &error))?;
+    let file = File::open(path).map_err(|error| unreadable(path, &error))?;
     let reader = PlyReader::from_reader(BufReader::new(file));
     reader.map_err(|error| Failure::input(format!("{}: {}", path.display(), error.0)))
 }
 
 /// Writes the surface in another format; how many triangles it has.
-pub fn write_mesh(run: &Path, output: &OutputFile, target: Target) -> Result<usize, Failure> {
+pub fn write_mesh(run: &Path, output: &OutputFile, format: MeshFormat) -> Result<usize, Failure> {
     let path = run.join(MESH);
     let mut reader = open(&path)?;
     let vertices: Vec<MeshVertex> = rows(&mut reader, &path)?;
@@ -91,10 +91,6 @@ pub fn write_mesh(run: &Path, output: &OutputFile, target: Target) -> Result<usi
             cubes: Vec::new(),
             triangles,
         },
-    };
-    let format = match target {
-        Target::Stl => MeshFormat::Stl,
-        _ => MeshFormat::Obj,
     };
     output.write_with(|out| Ok(format.write(&mesh, "the unit of the run", out)?))?;
     Ok(count)

@@ -18,6 +18,7 @@ use monogrid_app::args::WriteArgs;
 use monogrid_app::output::{Inputs, OutputFile, OutputFolder};
 use monogrid_app::process::failure::{CommandResult, Failure};
 use monogrid_app::run::sessions::{MAP_FROM_WORLD, Source, files_of};
+use monogrid_report::surface::MeshFormat;
 use reconstruction::Reconstruction;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -54,9 +55,13 @@ pub enum Target {
 
 /// Writes a run in another format.
 pub fn execute(args: &ExportArgs) -> CommandResult {
+    let mesh = |format| move |run: &Path, out: &OutputFile| files::write_mesh(run, out, format);
     match args.to {
-        Target::Colmap | Target::Nerf => export_images(args),
-        Target::Obj | Target::Stl | Target::Las => export_file(args),
+        Target::Colmap => export_images(args, |folder, scene, _| colmap::write(folder, scene)),
+        Target::Nerf => export_images(args, nerf::write),
+        Target::Obj => export_file(args, "triangles", mesh(MeshFormat::Obj)),
+        Target::Stl => export_file(args, "triangles", mesh(MeshFormat::Stl)),
+        Target::Las => export_file(args, "points", files::write_las),
     }
 }
 
@@ -67,17 +72,18 @@ fn inputs_of(run: &Path) -> Inputs {
         .and_all("the run", files_of(run))
 }
 
-/// Images with poses, and the points that they see.
-fn export_images(args: &ExportArgs) -> CommandResult {
+/// Images with poses, and the points that they see: `write` is given the folder, these and the
+/// folder of the run.
+fn export_images(
+    args: &ExportArgs,
+    write: impl Fn(&OutputFolder, &Reconstruction, &Path) -> Result<(), Failure>,
+) -> CommandResult {
     let source = Source::find(&args.run)?;
     let recording = source.read()?;
     let scene = Reconstruction::new(&recording, &source.file)?;
     let folder = OutputFolder::replace(&args.out, args.write.force, &inputs_of(&args.run))?;
     images::write(&folder, &recording, &scene)?;
-    match args.to {
-        Target::Colmap => colmap::write(&folder, &scene)?,
-        _ => nerf::write(&folder, &scene, &source.folder_of_run())?,
-    }
+    write(&folder, &scene, &source.folder_of_run())?;
     let report = json!({
         "images": scene.views.len(),
         "cameras": scene.cameras.len(),
@@ -101,23 +107,16 @@ fn export_images(args: &ExportArgs) -> CommandResult {
     })
 }
 
-/// One file made of one file of the run.
-fn export_file(args: &ExportArgs) -> CommandResult {
+/// One file made of one file of the run: `write` says how many of `what` it holds.
+fn export_file(
+    args: &ExportArgs,
+    what: &str,
+    write: impl Fn(&Path, &OutputFile) -> Result<usize, Failure>,
+) -> CommandResult {
     let output = OutputFile::new(&args.out, args.write.force, &inputs_of(&args.run))?;
-    let (what, count) = match args.to {
-        Target::Las => ("points", files::write_las(&args.run, &output)?),
-        target => ("triangles", files::write_mesh(&args.run, &output, target)?),
-    };
+    let count = write(&args.run, &output)?;
     let report = json!({ what: count });
     args.write.json.print(&report, || {
         println!("{}: {count} {what}", args.out.display());
     })
-}
-
-/// What is said of a run that lacks a file.
-fn missing(path: &Path, error: &std::io::Error) -> Failure {
-    Failure::input(format!(
-        "{} cannot be read: {error}; expected the output folder of a finished run",
-        path.display()
-    ))
 }

@@ -1,11 +1,13 @@
 //! The keyframes of a recording as images with poses, and the points that they see.
 
-use super::images::ColourOf;
 use monogrid_app::process::failure::Failure;
 use monogrid_app::run::align::Align;
 use monogrid_app::run::sessions::frame_beside;
 use monogrid_datasets::{RecordedCamera, RecordedKeyframe, RecordedPoint, Recording};
 use monogrid_geometry::{Se3, Sim3, Vec2, Vec3};
+use monogrid_mapping::ImageOf;
+use monogrid_report::colours::Colours;
+use monogrid_report::explorer::Look;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -77,15 +79,19 @@ impl Reconstruction {
         let mut points: Vec<&RecordedPoint> = points.collect();
         // so that each image is decoded once
         points.sort_by_key(|point| point.host);
-        let mut colours = ColourOf::default();
-        for point in points {
-            let Some(host) = view_of.get(&point.host) else {
+        let colours = Colours::of(&recording.keyframes);
+        for of_host in points.chunk_by(|a, b| a.host == b.host) {
+            let Some(host) = view_of.get(&of_host[0].host) else {
                 continue;
             };
             let keyframe = &recording.keyframes[scene.views[*host].keyframe];
-            if let Some(place) = place_of(point, keyframe, &map_from_world) {
-                let colour = colours.at(keyframe, point.pixel);
-                scene.add_point(point, &view_of, place, colour);
+            let image = keyframe.image.as_ref().map(ImageOf::Held);
+            let look = Look::of(keyframe.id, image, &colours);
+            for point in of_host {
+                if let Some(place) = place_of(point, keyframe, &map_from_world) {
+                    let colour = colour_at(&look, point.pixel, &keyframe.camera);
+                    scene.add_point(point, &view_of, place, colour);
+                }
             }
         }
         Ok(scene)
@@ -176,4 +182,10 @@ fn place_of(point: &RecordedPoint, host: &RecordedKeyframe, map_from_world: &Sim
     // depth is in units of the world
     let place = *map_from_world * (host.world_from_keyframe?.to_se3() * in_host);
     (idepth > 0.0 && place.iter().all(|c| c.is_finite())).then_some(place)
+}
+
+/// The colour of the nearest pixel.
+fn colour_at(look: &Look, [x, y]: [f64; 2], camera: &RecordedCamera) -> [u8; 3] {
+    let nearest = |at: f64, size: usize| (at.round().max(0.0) as usize).min(size - 1);
+    look.at(nearest(x, camera.width), nearest(y, camera.height))
 }

@@ -3,6 +3,7 @@
 mod scale;
 mod tables;
 
+use crate::commands::runs::unreadable;
 use crate::commands::use_threads;
 use clap::Args;
 use monogrid_app::args::{WriteArgs, positive};
@@ -110,12 +111,7 @@ pub fn execute(args: &RescaleArgs) -> CommandResult {
 
 fn summary(run: &Path) -> Result<Value, Failure> {
     let path = run.join(SUMMARY);
-    let text = std::fs::read_to_string(&path).map_err(|error| {
-        Failure::input(format!(
-            "{} cannot be read: {error}; expected the output folder of a finished run",
-            path.display()
-        ))
-    })?;
+    let text = std::fs::read_to_string(&path).map_err(|error| unreadable(&path, &error))?;
     let summary: Option<Value> = serde_json::from_str(&text).ok().filter(Value::is_object);
     summary.ok_or_else(|| Failure::input(format!("{} is damaged", path.display())))
 }
