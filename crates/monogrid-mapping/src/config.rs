@@ -35,8 +35,8 @@ pub enum MapQuality {
     /// The depth of the filter, refined at the final poses, each depth fused with those of other
     /// keyframes that agree.
     Fast,
-    /// Dense depth in place of the refinement, depth from other keyframes, and large planes beyond
-    /// what was measured: more of the surfaces and of the free space, for four times the work.
+    /// Dense depth in place of the refinement, and large planes beyond what was measured: more of
+    /// the surfaces and of the free space, for four times the work.
     #[serde(alias = "dense")]
     Default,
     /// The same with finer planes and more keyframes beside each: still more of the surfaces, for
@@ -51,7 +51,7 @@ pub(crate) struct Effort {
     pub max_sources: usize,
     /// Keyframes whose dense depth must confirm its own.
     pub max_confirming: usize,
-    /// Keyframes that its depth is fused with, and that it takes depth from where it has none.
+    /// Keyframes that its depth is fused with.
     pub max_witnesses: usize,
     pub stereo: DenseConfig,
 }

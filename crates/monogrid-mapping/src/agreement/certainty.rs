@@ -17,8 +17,9 @@ use monogrid_occupancy::DepthPixel as Measurement;
 const SHARED_ERRORS: f32 = 2.75;
 /// Factors beyond these say that something else is wrong.
 const FACTORS: std::ops::RangeInclusive<f32> = 0.25..=3.75;
-/// Largest relative deviation of all depth. Measured: with more, walls of real recordings get
-/// thicker, with less fewer of the surfaces are observed.
+/// Largest relative deviation of depth that is mapped, where at least half of it is as good.
+/// Measured: with more, walls of real recordings get thicker, with less fewer of the surfaces are
+/// observed.
 pub(crate) const MAX_SIGMA: f64 = 0.035;
 /// Relative deviation that always remains: of the camera's model and of the pixels' size.
 const LEAST_RELATIVE_SIGMA: f32 = 0.003;
@@ -40,7 +41,7 @@ pub(crate) struct Certainty {
     pub filled: f32,
     /// Smallest relative deviation.
     pub least: f32,
-    /// Depths that are less certain than this do not count.
+    /// Depths with a larger relative deviation do not count.
     pub most: f32,
 }
 
@@ -72,11 +73,14 @@ impl Certainty {
             let of_kind = differences.iter().flat_map(|kinds| &kinds[kind]);
             factor(&mut of_kind.copied().collect::<Vec<f32>>())
         });
+        let sampled = mine.iter().flatten().flat_map(|kept| &kept.sampled[0]);
+        let relative = sampled.map(|pixel| measured * pixel.sigma_idepth / pixel.idepth);
+        let typical = median(&mut relative.collect::<Vec<f32>>());
         Self {
             measured,
             filled,
             least: LEAST_RELATIVE_SIGMA,
-            most: MAX_SIGMA as f32,
+            most: typical.unwrap_or(0.0).max(MAX_SIGMA as f32),
         }
     }
 
@@ -249,6 +253,25 @@ mod tests {
         }
         // one keyframe knows nothing about itself
         assert!((certainty(&wall(0.01, 0.01)[..1]).measured - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn at_least_half_of_the_depth_is_mapped_however_uncertain_it_is() {
+        let mut keyframes = wall(0.04, 0.012);
+        let kept = |keyframes: &[(Depths, Sim3)]| {
+            let found = certainty(keyframes);
+            assert!((found.measured - FACTORS.end()).abs() < 1e-6);
+            found.measured(&keyframes[0].0.measured).count()
+        };
+        // all pixels of a third of the columns are more uncertain than the rest
+        for pixel in &mut keyframes[0].0.measured {
+            pixel.sigma_idepth *= [0.9, 1.0, 1.5][usize::from(pixel.x % 3)];
+        }
+        let count = kept(&keyframes);
+        assert!((2400..=3240).contains(&count), "{count} of 4800");
+        // where most is certain enough, the limit does not depend on it
+        let certain = certainty(&wall(0.01, 0.01));
+        assert!((f64::from(certain.most) - MAX_SIGMA).abs() < 1e-6);
     }
 
     #[test]

@@ -1,10 +1,8 @@
-//! What keyframes tell about the depth of each other: how certain it is, one depth of all that see
-//! the same, and depth where one has none.
+//! What keyframes tell about the depth of each other: how certain it is, and one depth of all that
+//! see the same.
 
 mod certainty;
-mod completion;
 mod fusion;
 
 pub(crate) use certainty::{Certainty, MAX_SIGMA};
-pub(crate) use completion::completed;
 pub(crate) use fusion::fused;

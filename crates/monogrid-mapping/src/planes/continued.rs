@@ -63,9 +63,7 @@ pub(super) fn continued(
     };
     let [measured, filled] = view.depths.kinds();
     let plain = Regions::new(&image, measured.iter().chain(filled.iter()));
-    let mut shown = DepthImage::new(camera);
-    shown.show(measured.iter().copied());
-    shown.show(filled.iter().copied());
+    let mut shown = DepthImage::of(&view.depths, camera);
     let mut added = envelope.of_plain(&plain, &shown);
     shown.show(added.iter().copied());
     let mut others = envelope.of_others(&plain, &shown);

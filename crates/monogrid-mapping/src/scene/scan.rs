@@ -180,11 +180,6 @@ impl KeptDepths {
     /// What was measured, and what was filled in; none where it cannot be read back, which is an
     /// error in the end ([`monogrid_slam::Slam::check_spilled`]).
     pub fn kinds(&self) -> [Arc<Measurements>; 2] {
-        [self.measured.get().unwrap_or_default(), self.filled()]
-    }
-
-    /// What was filled in.
-    pub fn filled(&self) -> Arc<Measurements> {
-        self.filled.get().unwrap_or_default()
+        [&self.measured, &self.filled].map(|kind| kind.get().unwrap_or_default())
     }
 }

@@ -5,8 +5,6 @@
 //!    none, that of the filter made better by the images around (`stereo`); what of it is precise
 //!    enough (`sensor`), and plain surfaces between it (`planes`);
 //! 3. [`Stage::Agreed`]: as certain as keyframes agree, one depth from all that see the same
-//!    (`agreement`);
-//! 4. [`Stage::Completed`]: where a keyframe has no depth, that of those that see the same
 //!    (`agreement`).
 //!
 //! Then it is [`mapped`]: large planes beyond what was measured of them, and what lies on them put
@@ -15,7 +13,7 @@
 //! Each stage of a keyframe looks at what others had at the stage before. All keyframes take a
 //! stage together at the final poses (`last`), and one at a time while a run goes on (`live`).
 
-use crate::agreement::{Certainty, completed, fused};
+use crate::agreement::{Certainty, fused};
 use crate::planes::{Cloud, on_planes};
 use crate::scene::{Depths, KeptDepths, Scene, View, probes};
 use crate::stereo::{confirmed, merged, refined, stereo};
@@ -42,15 +40,13 @@ pub(super) enum Stage {
     Found,
     /// As certain as they agree, and fused with theirs.
     Agreed,
-    /// With depth that they have and it has not.
-    Completed,
     /// Mapped.
     Ready,
 }
 
 impl Stage {
     /// Those that make depth better, in their order.
-    pub const ALL: [Self; 4] = [Self::Matched, Self::Found, Self::Agreed, Self::Completed];
+    pub const ALL: [Self; 3] = [Self::Matched, Self::Found, Self::Agreed];
 
     /// The one after it.
     pub fn next(self) -> Self {
@@ -113,12 +109,8 @@ pub(super) fn taken(
             found: Some(found(scene, index, before, store)),
             ..Progress::default()
         },
-        Stage::Agreed => Progress {
-            found: this.map(|this| agreed(scene, this, index, certainty)),
-            ..Progress::default()
-        },
-        Stage::Completed | Stage::Ready => this.map_or_else(Progress::default, |this| {
-            with_depth_of_others(scene, this, index)
+        Stage::Agreed | Stage::Ready => this.map_or_else(Progress::default, |this| {
+            agreed(scene, this, index, certainty)
         }),
     }
 }
@@ -146,26 +138,18 @@ fn found(scene: &Scene, index: usize, before: &Before, store: &Store) -> Found {
 }
 
 /// What was found of a keyframe, as certain as it is, each depth fused with those of others that
-/// agree.
-fn agreed(scene: &Scene, this: &Found, index: usize, certainty: Certainty) -> Found {
-    let depths = certainty.apply(&this.depths);
-    this.with_depths(fused(scene, index, depths, certainty), scene.camera)
-}
-
-/// With depth that others have and the keyframe has not.
-fn with_depth_of_others(scene: &Scene, this: &Found, index: usize) -> Progress {
+/// agree, and some of it in which planes are looked for.
+fn agreed(scene: &Scene, this: &Found, index: usize, certainty: Certainty) -> Progress {
     let Scene { camera, config, .. } = *scene;
-    let mut progress = Progress {
-        found: Some(this.clone()),
+    let depths = certainty.apply(&this.depths);
+    let found = this.with_depths(fused(scene, index, depths, certainty), camera);
+    let view = found.view.as_ref();
+    let view = view.filter(|_| config.quality.has_dense_depth());
+    Progress {
+        cloud: Cloud::new(view, camera, config),
+        found: Some(found),
         ..Progress::default()
-    };
-    if config.quality.has_dense_depth() {
-        let depths = this.depths.depths().with_filled(completed(scene, index));
-        let found = this.with_depths(depths, camera);
-        progress.cloud = Cloud::new(found.view.as_ref(), camera, config);
-        progress.found = Some(found);
     }
-    progress
 }
 
 /// What of a keyframe is mapped when it has taken all stages: its depths on the large planes that

@@ -159,7 +159,7 @@ fn fused(filter: Option<[f32; 2]>, idepth: f32, variance: f32) -> [f32; 2] {
 
 /// Inverse depth of a pixel of the full image: between the four nearest of the half image where
 /// these are of one surface, else that of the nearest.
-pub(crate) fn at_full_size(half: &Image<f32>, x: usize, y: usize) -> Option<f32> {
+fn at_full_size(half: &Image<f32>, x: usize, y: usize) -> Option<f32> {
     // the middle of a pixel of the half image lies between four of the full one
     let beside = |at: usize, size: usize| match at % 2 {
         0 => (at / 2).saturating_sub(1),
