@@ -419,7 +419,7 @@ mod tests {
         for (setting, expected) in [
             ("mapping.resolutoin=0.1", "resolutoin"),
             ("mapping.resolutoin=0.1", "mapping.resolution,"),
-            ("mapping.filtre.min_support=1", "filtre"),
+            ("mapping.filtre.skip_keyframes=1", "filtre"),
             ("maping.resolution=0.1", "`maping`"),
             ("mapping.resolution", "KEY=VALUE"),
             ("mapping.resolution=wide", "mapping.resolution=wide"),

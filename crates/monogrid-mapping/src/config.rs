@@ -117,10 +117,6 @@ pub struct DepthFilterConfig {
     /// measurement beyond it smears its surface along the ray (in the demo world 3.6 times the true
     /// number of occupied cells at 0.1, 1.4 times at 0.035).
     pub max_relative_sigma: f64,
-    /// Measurements among the 3x3 pixels around one (itself included) that must agree with it
-    /// within two standard deviations; 0 and 1 keep all. Default 6: against 4, MCC rises from 0.71
-    /// to 0.72 in the demo world.
-    pub min_support: usize,
     /// First keyframes that are not mapped (a random start needs some to converge).
     pub skip_keyframes: usize,
 }
@@ -129,7 +125,6 @@ impl Default for DepthFilterConfig {
     fn default() -> Self {
         Self {
             max_relative_sigma: 0.035,
-            min_support: 6,
             skip_keyframes: 0,
         }
     }
@@ -337,7 +332,6 @@ impl MappingConfig {
             body_radius: AutoLength::Fixed(0.0),
             filter: DepthFilterConfig {
                 max_relative_sigma: f64::INFINITY,
-                min_support: 0,
                 skip_keyframes: 0,
             },
             fill: FillConfig { enabled: false },
@@ -440,10 +434,10 @@ mod tests {
         config.buffer = AutoLength::Fixed(-1.0);
         assert_eq!(config.validate().unwrap_err().name, "mapping.buffer");
         config.buffer = AutoLength::Auto;
-        config.filter.min_support = 10;
+        config.filter.max_relative_sigma = 0.0;
         let name = config.validate().unwrap_err().name;
-        assert_eq!(name, "mapping.filter.min_support");
-        config.filter.min_support = 9;
+        assert_eq!(name, "mapping.filter.max_relative_sigma");
+        config.filter.max_relative_sigma = 0.1;
         config.update_limits = [0.1, 1.0];
         assert_eq!(config.validate().unwrap_err().name, "mapping.update_limits");
     }

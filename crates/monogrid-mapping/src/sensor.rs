@@ -4,7 +4,7 @@
 //! depth, for maps by other rules.
 
 use crate::planes::fill_plain_regions;
-use crate::scene::{DepthImage, Depths, KeyframeScan, measurement};
+use crate::scene::{Depths, KeyframeScan, measurement};
 use crate::{DepthFilterConfig, KeyframeCamera, MappingConfig};
 use monogrid_geometry::Pinhole;
 use monogrid_image::{GrayImage, Image};
@@ -24,7 +24,7 @@ impl KeyframeScan {
         config: &MappingConfig,
     ) -> Self {
         let limit = config.filter.max_relative_sigma;
-        let depths = Depths::new(id, pixels, image, camera, (config, limit));
+        let depths = Depths::new(id, pixels, image, (config, limit));
         depths.joined(id, camera, &Store::default())
     }
 
@@ -55,10 +55,9 @@ impl Depths {
         id: KeyframeId,
         pixels: &[DepthPixel],
         image: Option<&Image<u8>>,
-        camera: &KeyframeCamera,
         (config, max_filled_sigma): (&MappingConfig, f64),
     ) -> Self {
-        let mut measured = measured(id, pixels, camera, &config.filter);
+        let mut measured = measured(id, pixels, &config.filter);
         measured.shrink_to_fit();
         let mut filled = match image {
             Some(image) if config.fill.enabled => {
@@ -72,26 +71,12 @@ impl Depths {
 }
 
 /// The measurements that pass the filter.
-fn measured(
-    id: KeyframeId,
-    pixels: &[DepthPixel],
-    camera: &KeyframeCamera,
-    config: &DepthFilterConfig,
-) -> Vec<Measurement> {
+fn measured(id: KeyframeId, pixels: &[DepthPixel], config: &DepthFilterConfig) -> Vec<Measurement> {
     if (id as usize) < config.skip_keyframes {
         return Vec::new();
     }
-    let mut image = DepthImage::new(camera);
-    for pixel in pixels {
-        let depth = [pixel.idepth, pixel.idepth_var];
-        image.set(pixel.x.into(), pixel.y.into(), depth);
-    }
-    let is_supported = |pixel: &DepthPixel| {
-        config.min_support <= 1 || support(&image, pixel) >= config.min_support
-    };
+    let pixels = pixels.iter().filter(|pixel| is_precise(pixel, config));
     pixels
-        .iter()
-        .filter(|pixel| is_precise(pixel, config) && is_supported(pixel))
         .map(|pixel| Measurement {
             x: pixel.x,
             y: pixel.y,
@@ -111,100 +96,42 @@ fn is_precise(pixel: &DepthPixel, config: &DepthFilterConfig) -> bool {
         && variance.sqrt() <= config.max_relative_sigma * idepth
 }
 
-/// How many of the 3x3 pixels around one agree with it within two standard deviations.
-fn support(image: &DepthImage, pixel: &DepthPixel) -> usize {
-    let agrees = |(_, _, [idepth, variance]): &(usize, usize, [f32; 2])| {
-        (pixel.idepth - idepth).powi(2) <= 4.0 * (pixel.idepth_var + variance)
-    };
-    let around = image.around(pixel.x.into(), pixel.y.into());
-    around.filter(agrees).count()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn pixel(x: u16, y: u16, idepth: f32) -> DepthPixel {
+    fn pixel(x: u16, idepth: f32, idepth_var: f32) -> DepthPixel {
         DepthPixel {
             x,
-            y,
+            y: 0,
             idepth,
-            idepth_var: 1e-4,
+            idepth_var,
         }
     }
 
-    const CAMERA: KeyframeCamera = KeyframeCamera {
-        pinhole: Pinhole {
-            fx: 10.0,
-            fy: 10.0,
-            cx: 10.0,
-            cy: 5.0,
-        },
-        width: 20,
-        height: 10,
-    };
-
     #[test]
-    fn lonely_and_imprecise_measurements_are_dropped_by_default_and_kept_by_the_thesis() {
-        // nine neighbours in the middle, six at the edges, four at the corners
-        let patch = (4..7).flat_map(|y| (4..7).map(move |x| pixel(x, y, 1.0)));
-        let lonely = pixel(12, 5, 1.0);
-        let contradicted = pixel(7, 5, 3.0);
-        let imprecise = DepthPixel {
-            idepth_var: 0.25,
-            ..pixel(15, 8, 1.0)
-        };
-        let invalid = [
-            pixel(0, 0, -1.0),
-            pixel(0, 1, f32::NAN),
-            DepthPixel {
-                idepth_var: f32::NAN,
-                ..pixel(0, 2, 1.0)
-            },
+    fn imprecise_measurements_are_dropped_by_default_and_kept_by_the_thesis() {
+        let pixels = [
+            pixel(0, 1.0, 0.03_f32.powi(2)),
+            pixel(1, 2.0, 0.06_f32.powi(2)),
+            pixel(2, 1.0, 0.04_f32.powi(2)),
+            pixel(3, 1.0, 0.25),
+            // what no rule keeps
+            pixel(4, -1.0, 1e-4),
+            pixel(5, f32::NAN, 1e-4),
+            pixel(6, 1.0, f32::NAN),
+            pixel(7, 1.0, 0.0),
         ];
-        let mut pixels = vec![lonely, contradicted, imprecise];
-        pixels.extend(invalid);
-        pixels.extend(patch);
-        let count = |config: &DepthFilterConfig| measured(3, &pixels, &CAMERA, config).len();
-        assert_eq!(count(&DepthFilterConfig::default()), 5);
-        assert_eq!(count(&MappingConfig::thesis().filter), 12);
+        let kept = |config: &DepthFilterConfig| -> Vec<u16> {
+            let kept = measured(3, &pixels, config).into_iter();
+            kept.map(|measurement| measurement.x).collect()
+        };
+        assert_eq!(kept(&DepthFilterConfig::default()), [0, 1]);
+        assert_eq!(kept(&MappingConfig::thesis().filter), [0, 1, 2, 3]);
         let late = DepthFilterConfig {
             skip_keyframes: 4,
             ..DepthFilterConfig::default()
         };
-        assert_eq!(count(&late), 0);
-    }
-
-    #[test]
-    fn support_agrees_with_a_search_over_all_pairs() {
-        // a slanted patch with noise from a fixed sequence
-        let mut state = 7u32;
-        let mut pixels = Vec::new();
-        for y in 0..10u16 {
-            for x in 0..20u16 {
-                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                if state >> 30 != 0 {
-                    let noise = (state >> 16) as f32 / 65536.0 - 0.5;
-                    pixels.push(pixel(x, y, 1.0 + 0.01 * f32::from(x) + 0.05 * noise));
-                }
-            }
-        }
-        let config = DepthFilterConfig::default();
-        let expected: Vec<(u16, u16)> = pixels
-            .iter()
-            .filter(|p| {
-                let agreeing = pixels.iter().filter(|q| {
-                    p.x.abs_diff(q.x) <= 1
-                        && p.y.abs_diff(q.y) <= 1
-                        && (p.idepth - q.idepth).powi(2) <= 4.0 * (p.idepth_var + q.idepth_var)
-                });
-                agreeing.count() >= config.min_support
-            })
-            .map(|p| (p.x, p.y))
-            .collect();
-        let kept = measured(0, &pixels, &CAMERA, &config);
-        let found: Vec<(u16, u16)> = kept.iter().map(|p| (p.x, p.y)).collect();
-        assert_eq!(found, expected);
-        assert!(found.len() > 20 && found.len() < pixels.len());
+        assert!(kept(&late).is_empty());
     }
 }

@@ -8,8 +8,8 @@ use monogrid_slam::settings::Settings;
 pub const MAPPING: Settings<MappingConfig> = settings! { mapping: MappingConfig, OLD,
     mapping.quality => "", [],
         "How much work final maps get. `raw` takes the depth of the filter as it is, `fast` \
-         refines it. `default` adds depth of all pixels and completes it. `best` does so with \
-         finer steps and more keyframes.",
+         refines it. `default` adds depth of all pixels. `best` does so with finer steps and \
+         more keyframes.",
         "`default` costs four times the work of `fast`, `best` eight times.";
     mapping.resolution => "map units", [(1e-6, 1e6)],
         "Edge length of a cell.",
@@ -99,10 +99,6 @@ pub const MAPPING: Settings<MappingConfig> = settings! { mapping: MappingConfig,
     mapping.filter.max_relative_sigma => "share of the inverse depth", [(1e-6, f64::INFINITY)],
         "Measurements with a larger standard deviation are not mapped. `inf` keeps all.",
         "Raise it to observe more of the surfaces, lower it for thinner walls.";
-    mapping.filter.min_support => "pixels of 3x3", [(0.0, 9.0)],
-        "A measurement needs this many neighbours, itself included, that agree within two standard \
-         deviations. 0 and 1 keep all.",
-        "Lower it for thin structures, raise it against single wrong points.";
     mapping.filter.skip_keyframes => "keyframes", [(0.0, 1e6)],
         "This many first keyframes are not mapped.",
         "Use it after a random start, whose first keyframes have no depth yet.";
@@ -141,7 +137,7 @@ const OLD: &[(&str, &str)] = &[
          max_stated_sigma max_witnesses min_area_px min_inlier_share min_inliers \
          min_inliers_offered min_offered_share relative_sigma samples tolerance",
     ),
-    ("mapping.filter", "max_agreed_sigma"),
+    ("mapping.filter", "max_agreed_sigma min_support"),
     ("mapping.planes", "max_extent relative_sigma"),
     (
         "mapping.refine",

@@ -92,7 +92,7 @@ fn raw(scene: &Scene, index: usize, store: &Store) -> KeyframeScan {
     let keyframe = &scene.keyframes[index];
     let (pixels, image) = (keyframe.depth.get(), keyframe.image());
     let settings = (config, config.filter.max_relative_sigma);
-    let depths = Depths::new(keyframe.id, &pixels, image.as_deref(), camera, settings);
+    let depths = Depths::new(keyframe.id, &pixels, image.as_deref(), settings);
     depths.joined(keyframe.id, camera, store)
 }
 
@@ -202,7 +202,7 @@ mod tests {
         assert!(spilled == scans && no_room.bytes().file > 0);
         let fast = final_scans(&keyframes, &CAMERA, &config(), 2);
         let all = CAMERA.width * CAMERA.height;
-        assert!(fast[0].num_pixels == 0 && 2 * scans[0].num_pixels > all);
+        assert!(8 * fast[0].num_pixels <= all && 2 * scans[0].num_pixels > all);
         assert!(share_right(&scans[0], 1.0) > 0.9);
     }
 }

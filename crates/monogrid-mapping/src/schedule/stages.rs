@@ -133,7 +133,7 @@ fn found(scene: &Scene, index: usize, before: &Before, store: &Store) -> Found {
         None => refined(scene, index, pixels),
     };
     let (image, settings) = (keyframe.image(), (config, MAX_STATED_SIGMA));
-    let depths = Depths::new(keyframe.id, &pixels, image.as_deref(), camera, settings);
+    let depths = Depths::new(keyframe.id, &pixels, image.as_deref(), settings);
     Found::new(depths, keyframe.world_from_keyframe, camera, store)
 }
 

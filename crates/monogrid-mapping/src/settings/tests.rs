@@ -90,7 +90,7 @@ fn every_number_has_a_range_and_is_refused_outside_of_it() {
 fn values_are_taken_over_and_old_names_are_returned() {
     let (config, ignored) = changed(
         "resolution = 1\nsensor_model = \"ideal\"\nbuffer = 2\nclamp = [-1, 2.5]\n\
-         [filter]\nmin_support = 3\nmax_agreed_sigma = 0.1\n[upright]\npitch_deg = 3.0\n",
+         [filter]\nskip_keyframes = 3\nmax_agreed_sigma = 0.1\n[upright]\npitch_deg = 3.0\n",
     )
     .unwrap();
     let mut expected = MappingConfig {
@@ -100,7 +100,7 @@ fn values_are_taken_over_and_old_names_are_returned() {
         clamp: [-1.0, 2.5],
         ..MappingConfig::default()
     };
-    expected.filter.min_support = 3;
+    expected.filter.skip_keyframes = 3;
     assert_eq!(config, expected);
     assert_eq!(
         ignored,
@@ -112,15 +112,18 @@ fn values_are_taken_over_and_old_names_are_returned() {
 fn unknown_names_and_other_types_are_named() {
     for (text, expected) in [
         ("resolutoin = 1.0", "`mapping.resolutoin`"),
-        ("[filtre]\nmin_support = 1", "`mapping.filtre.min_support`"),
-        ("[filter]\nsupport = 1", "mapping.filter.min_support"),
+        (
+            "[filtre]\nskip_keyframes = 1",
+            "`mapping.filtre.skip_keyframes`",
+        ),
+        ("[filter]\nskip = 1", "mapping.filter.skip_keyframes"),
         ("filter = 1", "`mapping.filter`"),
         ("resolution = \"wide\"", "expected a number; allowed"),
         ("buffer = true", "expected a number or \"auto\""),
         ("sensor_model = \"thrum\"", "thrun"),
         ("clamp = [1.0]", "two numbers"),
         ("updates_to_belief = [-1, 3]", "allowed 0 to 255"),
-        ("[filter]\nmin_support = 1.5", "a whole number"),
+        ("[filter]\nskip_keyframes = 1.5", "a whole number"),
         ("[mesh]\nenabled = 1", "bool"),
     ] {
         let said = changed(text).unwrap_err().to_string();
