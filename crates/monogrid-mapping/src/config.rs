@@ -52,7 +52,7 @@ pub(crate) struct Effort {
     /// Keyframes whose dense depth must confirm its own.
     pub max_confirming: usize,
     /// Keyframes that its depth is fused with.
-    pub max_witnesses: usize,
+    pub max_covisible: usize,
     pub stereo: DenseConfig,
 }
 
@@ -71,14 +71,14 @@ impl MapQuality {
         if self == Self::Best {
             (stereo.max_planes, stereo.step_px) = (160, 0.5);
         }
-        let [max_sources, max_confirming, max_witnesses] = match self {
+        let [max_sources, max_confirming, max_covisible] = match self {
             Self::Best => [6, 16, 32],
             _ => [4, 8, 16],
         };
         Effort {
             max_sources,
             max_confirming,
-            max_witnesses,
+            max_covisible,
             stereo,
         }
     }
@@ -113,9 +113,10 @@ impl SettingValue for AutoLength {
 /// Which measurements of a keyframe are mapped.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthFilterConfig {
-    /// Largest relative standard deviation of the inverse depth; `inf` keeps all. Measured: a
-    /// measurement beyond it smears its surface along the ray (in the demo world 3.6 times the true
-    /// number of occupied cells at 0.1, 1.4 times at 0.035).
+    /// Largest relative standard deviation of the inverse depth; `inf` keeps all. Where keyframes
+    /// tell how certain depth is, and less than half of it is as certain, that of half of it.
+    /// Measured: a measurement beyond it smears its surface along the ray (in the demo world 3.6
+    /// times the true number of occupied cells at 0.1, 1.4 times at 0.035).
     pub max_relative_sigma: f64,
     /// First keyframes that are not mapped (a random start needs some to converge).
     pub skip_keyframes: usize,
@@ -415,10 +416,10 @@ mod tests {
     fn best_compares_with_more_and_more_finely() {
         let [fast, default, best] =
             [MapQuality::Fast, MapQuality::Default, MapQuality::Best].map(MapQuality::effort);
-        assert_eq!(fast.max_witnesses, default.max_witnesses);
+        assert_eq!(fast.max_covisible, default.max_covisible);
         assert!(best.max_sources > default.max_sources);
         assert!(best.max_confirming > default.max_confirming);
-        assert!(best.max_witnesses > default.max_witnesses);
+        assert!(best.max_covisible > default.max_covisible);
         assert!(best.stereo.max_planes > default.stereo.max_planes);
         assert!(best.stereo.step_px < default.stereo.step_px);
     }

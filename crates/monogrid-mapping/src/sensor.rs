@@ -5,7 +5,7 @@
 
 use crate::planes::fill_plain_regions;
 use crate::scene::{Depths, KeyframeScan, measurement};
-use crate::{DepthFilterConfig, KeyframeCamera, MappingConfig};
+use crate::{KeyframeCamera, MappingConfig};
 use monogrid_geometry::Pinhole;
 use monogrid_image::{GrayImage, Image};
 use monogrid_occupancy::DepthPixel as Measurement;
@@ -23,8 +23,7 @@ impl KeyframeScan {
         camera: &KeyframeCamera,
         config: &MappingConfig,
     ) -> Self {
-        let limit = config.filter.max_relative_sigma;
-        let depths = Depths::new(id, pixels, image, (config, limit));
+        let depths = Depths::new(id, pixels, image, config, config.filter.max_relative_sigma);
         depths.joined(id, camera, &Store::default())
     }
 
@@ -49,19 +48,22 @@ impl KeyframeScan {
 }
 
 impl Depths {
-    /// The measurements that pass the filter, and depth on the plain surfaces between them, of at
-    /// most that relative standard deviation.
+    /// The measurements, and depth on the plain surfaces between them, both of at most that
+    /// relative standard deviation.
     pub fn new(
         id: KeyframeId,
         pixels: &[DepthPixel],
         image: Option<&Image<u8>>,
-        (config, max_filled_sigma): (&MappingConfig, f64),
+        config: &MappingConfig,
+        max_relative_sigma: f64,
     ) -> Self {
-        let mut measured = measured(id, pixels, &config.filter);
+        let is_skipped = (id as usize) < config.filter.skip_keyframes;
+        let pixels = if is_skipped { &[] } else { pixels };
+        let mut measured = measured(pixels, max_relative_sigma);
         measured.shrink_to_fit();
         let mut filled = match image {
             Some(image) if config.fill.enabled => {
-                fill_plain_regions(image, &measured, max_filled_sigma)
+                fill_plain_regions(image, &measured, max_relative_sigma)
             }
             _ => Vec::new(),
         };
@@ -70,12 +72,10 @@ impl Depths {
     }
 }
 
-/// The measurements that pass the filter.
-fn measured(id: KeyframeId, pixels: &[DepthPixel], config: &DepthFilterConfig) -> Vec<Measurement> {
-    if (id as usize) < config.skip_keyframes {
-        return Vec::new();
-    }
-    let pixels = pixels.iter().filter(|pixel| is_precise(pixel, config));
+/// The measurements of at most that relative standard deviation.
+fn measured(pixels: &[DepthPixel], max_relative_sigma: f64) -> Vec<Measurement> {
+    let pixels = pixels.iter();
+    let pixels = pixels.filter(|pixel| is_precise(pixel, max_relative_sigma));
     pixels
         .map(|pixel| Measurement {
             x: pixel.x,
@@ -87,13 +87,13 @@ fn measured(id: KeyframeId, pixels: &[DepthPixel], config: &DepthFilterConfig) -
 }
 
 /// Whether a depth exists and is certain enough.
-fn is_precise(pixel: &DepthPixel, config: &DepthFilterConfig) -> bool {
+fn is_precise(pixel: &DepthPixel, max_relative_sigma: f64) -> bool {
     let (idepth, variance) = (f64::from(pixel.idepth), f64::from(pixel.idepth_var));
     // NaN fails every comparison
     idepth > 0.0
         && variance > 0.0
         && variance.is_finite()
-        && variance.sqrt() <= config.max_relative_sigma * idepth
+        && variance.sqrt() <= max_relative_sigma * idepth
 }
 
 #[cfg(test)]
@@ -122,16 +122,16 @@ mod tests {
             pixel(6, 1.0, f32::NAN),
             pixel(7, 1.0, 0.0),
         ];
-        let kept = |config: &DepthFilterConfig| -> Vec<u16> {
-            let kept = measured(3, &pixels, config).into_iter();
-            kept.map(|measurement| measurement.x).collect()
+        let kept = |id: KeyframeId, config: &MappingConfig| -> Vec<u16> {
+            let limit = config.filter.max_relative_sigma;
+            let kept = Depths::new(id, &pixels, None, config, limit).measured;
+            kept.iter().map(|measurement| measurement.x).collect()
         };
-        assert_eq!(kept(&DepthFilterConfig::default()), [0, 1]);
-        assert_eq!(kept(&MappingConfig::thesis().filter), [0, 1, 2, 3]);
-        let late = DepthFilterConfig {
-            skip_keyframes: 4,
-            ..DepthFilterConfig::default()
-        };
-        assert!(kept(&late).is_empty());
+        assert_eq!(kept(3, &MappingConfig::default()), [0, 1]);
+        let mut thesis = MappingConfig::thesis();
+        assert_eq!(kept(3, &thesis), [0, 1, 2, 3]);
+        thesis.filter.skip_keyframes = 4;
+        assert_eq!(kept(3, &thesis), [0_u16; 0]);
+        assert_eq!(kept(4, &thesis), [0, 1, 2, 3]);
     }
 }

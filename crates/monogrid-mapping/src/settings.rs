@@ -97,7 +97,8 @@ pub const MAPPING: Settings<MappingConfig> = settings! { mapping: MappingConfig,
         "Memory that a map and its preparation may take.",
         "Raise it for large maps, lower it on small computers.";
     mapping.filter.max_relative_sigma => "share of the inverse depth", [(1e-6, f64::INFINITY)],
-        "Measurements with a larger standard deviation are not mapped. `inf` keeps all.",
+        "Measurements with a larger standard deviation are not mapped. `inf` keeps all. Where \
+         keyframes agree so badly that most would go, half of them stay.",
         "Raise it to observe more of the surfaces, lower it for thinner walls.";
     mapping.filter.skip_keyframes => "keyframes", [(0.0, 1e6)],
         "This many first keyframes are not mapped.",

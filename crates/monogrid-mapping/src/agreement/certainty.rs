@@ -17,10 +17,6 @@ use monogrid_occupancy::DepthPixel as Measurement;
 const SHARED_ERRORS: f32 = 2.75;
 /// Factors beyond these say that something else is wrong.
 const FACTORS: std::ops::RangeInclusive<f32> = 0.25..=3.75;
-/// Largest relative deviation of depth that is mapped, where at least half of it is as good.
-/// Measured: with more, walls of real recordings get thicker, with less fewer of the surfaces are
-/// observed.
-pub(crate) const MAX_SIGMA: f64 = 0.035;
 /// Relative deviation that always remains: of the camera's model and of the pixels' size.
 const LEAST_RELATIVE_SIGMA: f32 = 0.003;
 /// Every so many pixels of a keyframe are compared.
@@ -30,7 +26,7 @@ const MAX_RELATIVE_DIFFERENCE: f32 = 0.1;
 /// Fewest comparisons that say anything.
 const MIN_COMPARED: usize = 200;
 /// Keyframes that each is compared with.
-const MAX_WITNESSES: usize = 24;
+const MAX_COVISIBLE: usize = 24;
 /// Median of the absolute value of a standard normal number.
 const NORMAL_MEDIAN: f32 = 0.674_49;
 
@@ -41,7 +37,8 @@ pub(crate) struct Certainty {
     pub filled: f32,
     /// Smallest relative deviation.
     pub least: f32,
-    /// Depths with a larger relative deviation do not count.
+    /// Depths with a larger relative deviation do not count: the limit of the settings, or that of
+    /// half of the measured depth where it is larger.
     pub most: f32,
 }
 
@@ -59,10 +56,10 @@ impl Certainty {
         let count = scene.views.len();
         let mine = for_each_keyframe(count, scene.threads, |index| {
             let depths = &scene.views[index].as_ref()?.depths;
-            let witnesses = scene.witnesses(index, MAX_WITNESSES).into_iter();
+            let covisible = scene.covisible(index, MAX_COVISIBLE).into_iter();
             Some(Compared {
                 sampled: depths.kinds().map(|kind| sampled(&kind)),
-                witnesses: witnesses.map(|(other, _)| other).collect(),
+                covisible: covisible.map(|(other, _)| other).collect(),
             })
         });
         // so that the depth of each is needed once
@@ -80,7 +77,9 @@ impl Certainty {
             measured,
             filled,
             least: LEAST_RELATIVE_SIGMA,
-            most: typical.unwrap_or(0.0).max(MAX_SIGMA as f32),
+            most: typical
+                .unwrap_or(0.0)
+                .max(scene.config.filter.max_relative_sigma as f32),
         }
     }
 
@@ -133,28 +132,28 @@ struct Compared {
     /// Some of the depths that were measured, and of those that were filled in.
     sampled: [Vec<Measurement>; 2],
     /// The others, by their index.
-    witnesses: Vec<usize>,
+    covisible: Vec<usize>,
 }
 
 fn sampled(pixels: &[Measurement]) -> Vec<Measurement> {
     pixels.iter().step_by(STRIDE).copied().collect()
 }
 
-/// Absolute differences, in standard deviations, of the depths of all keyframes from those of a
-/// witness: measured from measured depth, filled from filled.
+/// Absolute differences, in standard deviations, of the depths of all keyframes from those of another
+/// one: measured from measured depth, filled from filled.
 fn differences_from(scene: &Scene, other: usize, mine: &[Option<Compared>]) -> [Vec<f32>; 2] {
     let mut differences = [Vec::new(), Vec::new()];
-    let Some(witness) = &scene.views[other] else {
+    let Some(view) = &scene.views[other] else {
         return differences;
     };
-    let theirs = witness.depths.kinds().map(|kind| {
+    let theirs = view.depths.kinds().map(|kind| {
         let mut image = DepthImage::new(scene.camera);
         image.show(kind.iter().copied());
         image
     });
     let views = scene.views.iter().flatten().zip(mine.iter().flatten());
-    for (this, mine) in views.filter(|(_, mine)| mine.witnesses.contains(&other)) {
-        let other_from_this = this.transfer_to(witness, scene.camera);
+    for (this, mine) in views.filter(|(_, mine)| mine.covisible.contains(&other)) {
+        let other_from_this = this.transfer_to(view, scene.camera);
         let kinds = mine.sampled.iter().zip(&theirs);
         for (differences, (mine, theirs)) in differences.iter_mut().zip(kinds) {
             differences.extend(mine.iter().filter_map(|pixel| {
@@ -271,7 +270,7 @@ mod tests {
         assert!((2400..=3240).contains(&count), "{count} of 4800");
         // where most is certain enough, the limit does not depend on it
         let certain = certainty(&wall(0.01, 0.01));
-        assert!((f64::from(certain.most) - MAX_SIGMA).abs() < 1e-6);
+        assert!((certain.most - 0.035).abs() < 1e-6);
     }
 
     #[test]

@@ -29,7 +29,7 @@ pub(crate) fn fused(scene: &Scene, index: usize, depths: Depths, certainty: Cert
     let all = depths.measured.into_iter().chain(depths.filled);
     let mut means: Vec<Mean> = all.map(Mean::of).collect();
     let mut image = DepthImage::new(camera);
-    for (_, other) in scene.witnesses(index, scene.config.quality.effort().max_witnesses) {
+    for (_, other) in scene.covisible(index, scene.config.quality.effort().max_covisible) {
         let [measured, filled] = other.depths.kinds();
         image.clear();
         image.show(certainty.filled(&filled));

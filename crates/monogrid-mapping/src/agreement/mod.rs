@@ -4,5 +4,5 @@
 mod certainty;
 mod fusion;
 
-pub(crate) use certainty::{Certainty, MAX_SIGMA};
+pub(crate) use certainty::Certainty;
 pub(crate) use fusion::fused;

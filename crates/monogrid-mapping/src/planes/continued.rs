@@ -16,7 +16,6 @@ use super::fill::{
     regions_beside,
 };
 use super::shared::{SeenPlane, Surroundings};
-use crate::agreement::MAX_SIGMA;
 use crate::scene::{DepthImage, Scene, measurement};
 use monogrid_geometry::Vec2;
 use monogrid_image::Image;
@@ -58,25 +57,28 @@ pub(super) fn continued(
         return Vec::new();
     }
     let seen = |plane| SeenPlane::new(plane, &view.world_from_keyframe, camera);
-    let envelope = Envelope {
+    let bounds = BoundingPlanes {
         planes: planes.into_iter().map(seen).collect(),
+        max_relative_sigma: scene.config.filter.max_relative_sigma,
     };
     let [measured, filled] = view.depths.kinds();
     let plain = Regions::new(&image, measured.iter().chain(filled.iter()));
     let mut shown = DepthImage::of(&view.depths, camera);
-    let mut added = envelope.of_plain(&plain, &shown);
+    let mut added = bounds.of_plain(&plain, &shown);
     shown.show(added.iter().copied());
-    let mut others = envelope.of_others(&plain, &shown);
+    let mut others = bounds.of_others(&plain, &shown);
     added.append(&mut others);
     added
 }
 
 /// The planes that bound the view of a keyframe.
-struct Envelope<'a> {
+struct BoundingPlanes<'a> {
     planes: Vec<SeenPlane<'a>>,
+    /// Where they are less certain, they give no depth.
+    max_relative_sigma: f64,
 }
 
-impl Envelope<'_> {
+impl BoundingPlanes<'_> {
     /// The plane that the line of sight of a pixel meets first, and its inverse depth there.
     fn nearest(&self, x: f64, y: f64) -> Option<(usize, f64)> {
         let planes = self.planes.iter().enumerate();
@@ -91,7 +93,7 @@ impl Envelope<'_> {
         expected > 0.0 && (idepth / expected - 1.0).abs() <= 2.0 * FLATNESS
     }
 
-    /// Depth of the plain regions whose outline lies on the envelope.
+    /// Depth of the plain regions whose outline lies on them.
     fn of_plain(&self, regions: &Regions, shown: &DepthImage) -> Vec<Measurement> {
         let allowed: Vec<Vec<bool>> = outlines(regions, shown)
             .iter()
@@ -109,7 +111,7 @@ impl Envelope<'_> {
         self.filled(regions, &allowed)
     }
 
-    /// Depth of the regions of all other pixels without depth whose outline lies on the envelope.
+    /// Depth of the regions of all other pixels without depth whose outline lies on them.
     fn of_others(&self, plain: &Regions, shown: &DepthImage) -> Vec<Measurement> {
         let labels = &plain.labels;
         let is_left = Image::from_fn(labels.width(), labels.height(), |x, y| {
@@ -123,7 +125,7 @@ impl Envelope<'_> {
         self.filled(&regions, &allowed)
     }
 
-    /// Whether so much of the outline of a region lies on the envelope, and little behind it.
+    /// Whether so much of the outline of a region lies on them, and little behind it.
     fn holds(&self, outline: &[OutlinePoint], min_share: f64) -> bool {
         let (mut on, mut behind) = (0_usize, 0_usize);
         for ([x, y], idepth) in outline {
@@ -181,7 +183,7 @@ impl Envelope<'_> {
             let plane = &self.planes[plane];
             let point = plane.point([x as f64, y as f64]);
             let sigma = plane.relative_sigma(&point);
-            if sigma <= MAX_SIGMA && plane.is_measured(&point, MAX_EXTENT) {
+            if sigma <= self.max_relative_sigma && plane.is_measured(&point, MAX_EXTENT) {
                 let sigma = (sigma * idepth) as f32;
                 filled.push(measurement((x, y), idepth as f32, sigma));
             }

@@ -9,7 +9,7 @@ use monogrid_occupancy::DepthPixel as Measurement;
 use nalgebra::{Matrix3, SymmetricEigen};
 
 /// Keyframes around each that tell the planes around it.
-const MAX_WITNESSES: usize = 16;
+const MAX_COVISIBLE: usize = 16;
 /// Points of a keyframe, at most.
 const MAX_POINTS: usize = 1000;
 /// Depths of a keyframe in which planes are looked for, at most.
@@ -136,7 +136,7 @@ impl<'a> Surroundings<'a> {
         let max_count = scene.config.planes.max_count;
         let view = scene.views[index].as_ref();
         let view = view.filter(|_| max_count > 0)?;
-        let around = scene.witnesses(index, MAX_WITNESSES).into_iter();
+        let around = scene.covisible(index, MAX_COVISIBLE).into_iter();
         let around = around.map(|(other, _)| other).chain([index]);
         let clouds: Vec<&Cloud> = around.filter_map(cloud).collect();
         let planes = large_planes(&clouds, &view.world_from_keyframe.translation, max_count);

@@ -76,7 +76,7 @@ pub(crate) fn probes(depths: &Depths, camera: &KeyframeCamera) -> Arc<[Vec3]> {
 impl<'a> Scene<'a> {
     /// Keyframes that see some of what another one sees, by their index, evenly spread over all of
     /// them; none where that has no pose.
-    pub fn witnesses(&self, index: usize, most: usize) -> Vec<(usize, &'a View)> {
+    pub fn covisible(&self, index: usize, most: usize) -> Vec<(usize, &'a View)> {
         let Some(this) = &self.views[index] else {
             return Vec::new();
         };
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn witnesses_see_a_tenth_of_the_same_and_are_spread_over_all() {
+    fn covisible_keyframes_see_a_tenth_of_the_same_and_are_spread_over_all() {
         let depths = Depths {
             measured: wall(2.0, 0..160),
             filled: Vec::new(),
@@ -169,7 +169,7 @@ mod tests {
             threads: 1,
         };
         let of = |index, most| -> Vec<usize> {
-            let found = scene.witnesses(index, most).into_iter();
+            let found = scene.covisible(index, most).into_iter();
             found.map(|(other, _)| other).collect()
         };
         assert_eq!(of(0, 100), [1, 2, 4, 5, 6, 7, 8, 9, 10, 11, 12]);

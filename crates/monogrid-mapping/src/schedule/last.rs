@@ -91,8 +91,8 @@ fn raw(scene: &Scene, index: usize, store: &Store) -> KeyframeScan {
     let Scene { camera, config, .. } = *scene;
     let keyframe = &scene.keyframes[index];
     let (pixels, image) = (keyframe.depth.get(), keyframe.image());
-    let settings = (config, config.filter.max_relative_sigma);
-    let depths = Depths::new(keyframe.id, &pixels, image.as_deref(), settings);
+    let limit = config.filter.max_relative_sigma;
+    let depths = Depths::new(keyframe.id, &pixels, image.as_deref(), config, limit);
     depths.joined(keyframe.id, camera, store)
 }
 

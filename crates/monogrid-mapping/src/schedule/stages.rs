@@ -24,10 +24,10 @@ use monogrid_slam::store::{Kept, Store};
 use std::borrow::Cow;
 use std::sync::Arc;
 
-/// Largest relative standard deviation of filled depth by the fit of its plane, where the
-/// agreement of keyframes sets the true one afterwards: that of planes is most often two or three
-/// times smaller. Measured: with 0.035, walls with few points on them were left open
-/// (icl-office-kt3 had 4 % less of its surfaces).
+/// Largest relative standard deviation of depth as it is stated, before the agreement of keyframes
+/// sets the true one: that of filled planes is most often two or three times smaller. Measured: with
+/// 0.035, walls with few points on them were left open (icl-office-kt3 had 4 % less of its
+/// surfaces).
 const MAX_STATED_SIGMA: f64 = 0.08;
 
 /// How far a keyframe has come.
@@ -132,8 +132,9 @@ fn found(scene: &Scene, index: usize, before: &Before, store: &Store) -> Found {
         Some(dense) => Cow::Owned(merged(&pixels, &dense, camera)),
         None => refined(scene, index, pixels),
     };
-    let (image, settings) = (keyframe.image(), (config, MAX_STATED_SIGMA));
-    let depths = Depths::new(keyframe.id, &pixels, image.as_deref(), settings);
+    let limit = MAX_STATED_SIGMA.max(config.filter.max_relative_sigma);
+    let image = keyframe.image();
+    let depths = Depths::new(keyframe.id, &pixels, image.as_deref(), config, limit);
     Found::new(depths, keyframe.world_from_keyframe, camera, store)
 }
 

@@ -171,7 +171,7 @@ impl Border {
 
     /// The surface that one of its planes stands for, as certain as that plane.
     pub fn surface(&self, plane: &Plane) -> Plane {
-        settled(&self.points, plane).unwrap_or_else(|| plane.clone())
+        converged(&self.points, plane).unwrap_or_else(|| plane.clone())
     }
 
     /// Where the points of the outline on a plane are, px.
@@ -242,7 +242,7 @@ impl Border {
 /// The surface that a plane through its outline stands for. What stands before it, frames and
 /// skirtings, is left out by fits that weigh what is before them less; what then lies behind is
 /// noise, which is as large on either side.
-fn settled(points: &[BorderPoint], plane: &Plane) -> Option<Plane> {
+fn converged(points: &[BorderPoint], plane: &Plane) -> Option<Plane> {
     let mut surface = plane.clone();
     for _ in 0..ASYMMETRIC_FITS {
         surface = fitted(&within(points, &surface, 2.0), Some(&surface))?;
