@@ -25,8 +25,8 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 /// Largest relative standard deviation of depth as it is stated, before the agreement of keyframes
-/// sets the true one: that of filled planes is most often two or three times smaller. Measured: with
-/// 0.035, walls with few points on them were left open (icl-office-kt3 had 4 % less of its
+/// sets the true one: that of filled planes is most often two or three times smaller. Measured:
+/// with 0.035, walls with few points on them were left open (icl-office-kt3 had 4 % less of its
 /// surfaces).
 const MAX_STATED_SIGMA: f64 = 0.08;
 
