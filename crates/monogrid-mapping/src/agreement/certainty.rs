@@ -139,8 +139,8 @@ fn sampled(pixels: &[Measurement]) -> Vec<Measurement> {
     pixels.iter().step_by(STRIDE).copied().collect()
 }
 
-/// Absolute differences, in standard deviations, of the depths of all keyframes from those of another
-/// one: measured from measured depth, filled from filled.
+/// Absolute differences, in standard deviations, of the depths of all keyframes from those of
+/// another one: measured from measured depth, filled from filled.
 fn differences_from(scene: &Scene, other: usize, mine: &[Option<Compared>]) -> [Vec<f32>; 2] {
     let mut differences = [Vec::new(), Vec::new()];
     let Some(view) = &scene.views[other] else {
