@@ -197,12 +197,7 @@ pub(super) fn timed_at_rate(
     source: &Path,
     warnings: &mut Vec<String>,
 ) -> Result<Vec<(i64, PathBuf)>, DatasetError> {
-    let fps = options.fps.unwrap_or(DEFAULT_FPS);
-    if !(fps.is_finite() && (1e-3..=1e5).contains(&fps)) {
-        let found = format!("{fps} frames per second");
-        let expected = "a frame rate between 0.001 and 100000";
-        return Err(DatasetError::content(source, found, expected));
-    }
+    let fps = rate(options, source)?;
     if options.fps.is_none() {
         warnings.push(format!(
             "{} has no times; {DEFAULT_FPS} frames per second assumed (set the rate with --fps)",
@@ -211,6 +206,17 @@ pub(super) fn timed_at_rate(
     }
     let timed = |(i, path): (usize, PathBuf)| ((i as f64 * 1e9 / fps).round() as i64, path);
     Ok((0..).zip(images).map(timed).collect())
+}
+
+/// The rate of images without times, Hz.
+pub(super) fn rate(options: SourceOptions, source: &Path) -> Result<f64, DatasetError> {
+    let fps = options.fps.unwrap_or(DEFAULT_FPS);
+    if fps.is_finite() && (1e-3..=1e5).contains(&fps) {
+        return Ok(fps);
+    }
+    let found = format!("{fps} frames per second");
+    let expected = "a frame rate between 0.001 and 100000";
+    Err(DatasetError::content(source, found, expected))
 }
 
 /// Frames with the times of a `times.txt`: a time per line (KITTI), or id, time and exposure (TUM

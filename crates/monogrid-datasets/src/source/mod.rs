@@ -1,11 +1,12 @@
-//! Image sequences on disk: TUM layout, TUM monoVO, EuRoC, KITTI, 7-Scenes, plain folders; each
-//! also as a zip or tar file.
+//! Image sequences on disk: TUM layout, TUM monoVO, EuRoC, KITTI, 7-Scenes, ICL-NUIM, plain
+//! folders; each also as a zip or tar file.
 //!
 //! [`Dataset::open`] looks at what is there and returns a time-ordered list of frames with
 //! whatever belongs to them. Nothing is decoded here; see [`crate::read_gray`].
 
 mod euroc;
 mod folder;
+mod icl;
 mod kinds;
 mod list;
 mod natural;
@@ -59,6 +60,8 @@ pub enum Layout {
     KittiRaw,
     /// `NAME.color.png`, `NAME.depth.png` and `NAME.pose.txt` side by side.
     SevenScenes,
+    /// `associations.txt` with numbers of frames, `NAME.gt.freiburg`.
+    IclNuim,
     /// Images in natural order of their names at a given rate.
     #[default]
     Folder,
@@ -75,6 +78,7 @@ impl Layout {
             Self::Kitti => "KITTI",
             Self::KittiRaw => "KITTI raw",
             Self::SevenScenes => "7-Scenes",
+            Self::IclNuim => "ICL-NUIM",
             Self::Folder => "image folder",
         }
     }
@@ -110,6 +114,8 @@ pub struct Dataset {
     pub ground_truth: Option<PathBuf>,
     /// Files with the pose of a frame each, and its time, ns.
     pose_files: Vec<(i64, PathBuf)>,
+    /// What was said when it was opened.
+    options: SourceOptions,
     /// Stored value of one metre in depth images of which no calibration says it.
     depth_units_per_metre: f64,
     /// Calibration of the camera.
@@ -159,6 +165,9 @@ impl Dataset {
                 return tum::open(path, &list, options);
             }
         }
+        if let Some(list) = icl::list_of(path) {
+            return icl::open(path, &list, options);
+        }
         match folder::open(path, options) {
             // depth alone, with poses, can be mapped
             Err(DatasetError::NoFrames { .. }) if is_file(&path.join("depth.txt")) => {
@@ -196,7 +205,8 @@ impl Dataset {
         PixelBudget::of_images(path, stored_bytes)
     }
 
-    /// The calibration that lies in the source; `None` when there is none.
+    /// The calibration that lies in the source, or that of all sequences of its data set
+    /// (ICL-NUIM); `None` when there is none.
     ///
     /// `image_size` (width, height) serves formats that do not say it.
     ///
@@ -206,9 +216,14 @@ impl Dataset {
         &self,
         image_size: Option<(usize, usize)>,
     ) -> Result<Option<Calibration>, DatasetError> {
-        let path = self.calibration_path.as_ref();
-        path.map(|path| self.read_calibration(path, image_size))
-            .transpose()
+        let is_icl = self.layout == Layout::IclNuim && image_size.is_none_or(|s| s == icl::SIZE);
+        match &self.calibration_path {
+            Some(path) => self.read_calibration(path, image_size).map(Some),
+            None if is_icl => {
+                Calibration::parse(icl::CALIBRATION, &self.root, image_size).map(Some)
+            }
+            None => Ok(None),
+        }
     }
 
     /// Reads a calibration for the images of this source: of a file for several cameras the one
@@ -305,6 +320,7 @@ impl Dataset {
             depths,
             ground_truth: truth.or_else(|| kitti_poses(&root, layout)),
             pose_files: parts.pose_files,
+            options,
             depth_units_per_metre: match layout {
                 Layout::SevenScenes => 1000.0,
                 _ => TUM_UNITS_PER_METRE,

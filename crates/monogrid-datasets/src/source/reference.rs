@@ -1,6 +1,6 @@
 //! The reference trajectory of a data set, as poses of its camera.
 
-use super::{Dataset, Layout};
+use super::{Dataset, Layout, folder, icl};
 use crate::text::{data_lines, numbers, read_text};
 use crate::trajectory::{parse_kitti, parse_trajectory, pose_from_matrix};
 use crate::{DatasetError, TimedPose};
@@ -10,7 +10,9 @@ impl Dataset {
     /// The reference trajectory, `None` when the source has none.
     ///
     /// EuRoC's poses are those of the body and become those of camera 0 with the `T_BS` of its
-    /// `sensor.yaml`; KITTI's and those of 7-Scenes have no times and take those of the frames.
+    /// `sensor.yaml`. KITTI's and those of 7-Scenes have no times and take those of the frames, and
+    /// so do those of ICL-NUIM. These are also mirrored, from a y axis that points up to one that
+    /// points down.
     ///
     /// # Errors
     /// When the file, or EuRoC's calibration, cannot be understood.
@@ -30,6 +32,12 @@ impl Dataset {
             return parse_kitti(&text, &times, path).map(Some);
         }
         let mut poses = parse_trajectory(&text, path)?;
+        if self.layout == Layout::IclNuim {
+            return Ok(Some(icl::poses_of(
+                poses,
+                folder::rate(self.options, path)?,
+            )));
+        }
         if self.layout == Layout::Euroc {
             let body_from_camera = self
                 .calibration(None)?

@@ -4,7 +4,7 @@ use super::images::gray;
 use monogrid_datasets::{
     DEFAULT_FPS, Dataset, DatasetError, Layout, SourceOptions, encode_png, read_gray,
 };
-use monogrid_geometry::{Camera, Distortion, Pinhole};
+use monogrid_geometry::{Camera, Distortion, Pinhole, Vec3};
 use monogrid_image::Image;
 use std::fs;
 use std::io::Read as _;
@@ -430,6 +430,49 @@ fn seven_scenes_tell_colour_from_depth_by_name() {
     let root = folder();
     image(&root.path().join("0.depth.png"));
     assert_eq!(open(root.path()).expect("opens").frames.len(), 1);
+}
+
+#[test]
+fn icl_nuim_counts_frames_and_its_y_axis_points_up() {
+    let root = folder();
+    let mut list = String::new();
+    for k in 0..4 {
+        image(&root.path().join(format!("rgb/{k}.png")));
+        image(&root.path().join(format!("depth/{k}.png")));
+        list += &format!("{k} depth/{k}.png {k} rgb/{k}.png\n");
+    }
+    fs::write(root.path().join("associations.txt"), list).expect("writable");
+    // the poses begin with the second frame; the camera turns about its x axis
+    let (sin, cos) = 0.1_f64.sin_cos();
+    let poses = format!("1 1 2 3 0 0 0 1\n2 1 2.5 3 {sin} 0 0 {cos}\n");
+    fs::write(root.path().join("office.gt.freiburg"), poses).expect("writable");
+    let dataset = open(root.path()).expect("opens");
+    assert_eq!(dataset.layout, Layout::IclNuim);
+    assert!(dataset.frames[3].path.ends_with("rgb/3.png"));
+    assert_eq!(times(&dataset), [0, 33_333_333, 66_666_667, 100_000_000]);
+    let depths: Vec<i64> = dataset.depths.iter().map(|d| d.timestamp_ns).collect();
+    assert_eq!(depths, times(&dataset));
+    assert!(dataset.depths[2].path.ends_with("depth/2.png"));
+    let calibration = dataset.calibration(Some((640, 480)));
+    let calibration = calibration.expect("known").expect("there");
+    assert_eq!(calibration.camera.pinhole.fy, 480.0);
+    // images of another size are of another camera
+    assert!(dataset.calibration(Some((320, 240))).unwrap().is_none());
+    let units = dataset.registered_depth(calibration.camera).units_per_metre;
+    assert_eq!(units, 5000.0);
+    let reference = dataset.reference_trajectory();
+    let reference = reference.expect("readable").expect("there");
+    let at: Vec<i64> = reference.iter().map(|pose| pose.timestamp_ns).collect();
+    assert_eq!(at, times(&dataset)[1..3]);
+    let pose = reference[1].world_from_camera;
+    assert_eq!(pose.translation, Vec3::new(1.0, -2.5, 3.0));
+    // a point ahead of a camera that looked down now lies as far below as it lay above
+    let ahead = pose.rotation * Vec3::new(0.0, 0.0, 1.0);
+    assert!((ahead - Vec3::new(0.0, 0.2_f64.sin(), 0.2_f64.cos())).norm() < 1e-12);
+    // a list by times is no list of frames
+    let list = "0.5 rgb/0.png 0.51 depth/0.png\n";
+    fs::write(root.path().join("associations.txt"), list).expect("writable");
+    assert_ne!(open(root.path()).expect("opens").layout, Layout::IclNuim);
 }
 
 #[test]
