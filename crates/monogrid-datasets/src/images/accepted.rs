@@ -14,7 +14,7 @@ pub(super) const MAX_PIXELS: usize = 1 << 26;
 /// Pixels that any image file may hold, and how many more for each of its bytes. Photographs have
 /// five or fewer per byte; only plain ones are smaller, and a small file of such must not fill the
 /// memory.
-const SMALL_FILE_PIXELS: usize = 3 << 22;
+pub(super) const SMALL_FILE_PIXELS: usize = 3 << 22;
 const PIXELS_PER_BYTE: usize = 8;
 
 /// Most pixels that an image file of so many bytes is believed to hold.

@@ -1,5 +1,6 @@
 //! Depth images and the camera that took them.
 
+use super::accepted::SMALL_FILE_PIXELS;
 use super::decode::{decode_raster, image_of, read_image_file};
 use super::raster::Samples;
 use crate::calibration::camera_from_numbers;
@@ -19,6 +20,10 @@ pub struct DepthCalibration {
     /// Pose of the depth camera in the colour camera.
     pub colour_from_depth: Se3,
 }
+
+/// Most pixels of a depth image, however large its file is: depth cameras have one million, those
+/// that are registered to a colour camera as many as that.
+const MAX_DEPTH_PIXELS: usize = SMALL_FILE_PIXELS;
 
 /// Units per metre of TUM RGB-D depth images.
 pub const TUM_UNITS_PER_METRE: f64 = 5000.0;
@@ -101,6 +106,14 @@ pub fn decode_depth(
         let reason = "not one channel of 16 bits, which depth must have";
         return Err(DatasetError::image(path, reason));
     };
+    if samples.len() > MAX_DEPTH_PIXELS {
+        let (width, height) = (raster.width, raster.height);
+        let reason = format!(
+            "found {width}x{height} pixels, expected at most {MAX_DEPTH_PIXELS}, more than any \
+             depth camera has"
+        );
+        return Err(DatasetError::image(path, reason));
+    }
     let metres_per_unit = 1.0 / units_per_metre;
     let depth = |v: u16| match v {
         0 | u16::MAX => f32::NAN,

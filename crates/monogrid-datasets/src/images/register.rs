@@ -1,8 +1,9 @@
 //! Depth images seen from the colour camera.
 
 use super::DepthCalibration;
-use monogrid_geometry::{Pinhole, Vec2, Vec3};
+use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2, Vec3};
 use monogrid_image::Image;
+use std::sync::OnceLock;
 
 /// Two depths belong to one surface when the larger is at most this much above the smaller.
 const SAME_SURFACE_RATIO: f64 = 1.05;
@@ -24,8 +25,10 @@ struct Vertex {
 #[derive(Clone, Debug)]
 pub struct DepthRegistration {
     calibration: DepthCalibration,
-    /// Ray with z = 1 of each depth pixel; NaN where the lens model has none.
-    rays_in_depth: Vec<Vec3>,
+    /// Ideal coordinates of each depth pixel of a lens that distorts, NaN where its model has none.
+    /// Made for the first image of the size that the calibration claims: one without images, or
+    /// with others, may claim any.
+    undistorted: OnceLock<Vec<Vec2>>,
     target: Pinhole,
     width: usize,
     height: usize,
@@ -40,17 +43,9 @@ impl DepthRegistration {
         width: usize,
         height: usize,
     ) -> Self {
-        let camera = calibration.camera;
-        let mut rays_in_depth = Vec::with_capacity(camera.width * camera.height);
-        for y in 0..camera.height {
-            for x in 0..camera.width {
-                let ray = camera.unproject(&Vec2::new(x as f64, y as f64));
-                rays_in_depth.push(ray.unwrap_or(Vec3::repeat(f64::NAN)));
-            }
-        }
         Self {
             calibration: *calibration,
-            rays_in_depth,
+            undistorted: OnceLock::new(),
             target: *target,
             width,
             height,
@@ -66,52 +61,87 @@ impl DepthRegistration {
         if depth.width() != w || depth.height() != h {
             return None;
         }
-        let vertices = self.project(depth);
         let mut nearest = Image::filled(self.width, self.height, 0.0f32);
-        for y in 0..h.saturating_sub(1) {
-            for x in 0..w.saturating_sub(1) {
-                let i = y * w + x;
-                // the diagonal alternates, so that no direction is preferred
-                let triangles = if (x + y) % 2 == 0 {
-                    [[i, i + 1, i + w + 1], [i, i + w + 1, i + w]]
-                } else {
-                    [[i, i + 1, i + w], [i + 1, i + w + 1, i + w]]
-                };
-                for corners in triangles {
-                    if on_one_surface(depth.as_slice(), corners) {
-                        draw_triangle(&mut nearest, corners.map(|c| vertices[c]));
-                    }
-                }
+        let mut points = nearest.clone();
+        // two rows are projected at a time: of a large image all would take ten times its memory
+        let (mut upper, mut lower) = (Vec::with_capacity(w), Vec::with_capacity(w));
+        for y in 0..h {
+            self.project_row(depth, y, &mut lower);
+            draw_points(&mut points, &lower);
+            if y > 0 {
+                let rows = [(depth.row(y - 1), &*upper), (depth.row(y), &*lower)];
+                draw_between(&mut nearest, rows, y - 1);
             }
+            std::mem::swap(&mut upper, &mut lower);
         }
-        draw_points(&mut nearest, &vertices);
-        Some(nearest.map(|inv| if inv > 0.0 { 1.0 / inv } else { f32::NAN }))
+        // where no triangle is, the depth pixels: thin structures and the rims of objects
+        let inv_depth = |(&mesh, &point): (&f32, &f32)| if mesh > 0.0 { mesh } else { point };
+        let inv_depths = nearest.as_slice().iter().zip(points.as_slice());
+        let depths = inv_depths.map(inv_depth);
+        let depths = depths.map(|inv| if inv > 0.0 { 1.0 / inv } else { f32::NAN });
+        Image::from_vec(self.width, self.height, depths.collect())
     }
 
-    /// Projects every depth pixel; NaN where there is none or it is behind the target.
-    fn project(&self, depth: &Image<f32>) -> Vec<Vertex> {
+    /// Projects a row of depth pixels; NaN where there is none or it is behind the target.
+    fn project_row(&self, depth: &Image<f32>, y: usize, vertices: &mut Vec<Vertex>) {
         let target_from_depth = self.calibration.colour_from_depth;
         let rotation = target_from_depth.rotation_matrix();
-        self.rays_in_depth
-            .iter()
-            .zip(depth.as_slice())
-            .map(|(ray, &z)| {
-                let point = rotation * (ray * f64::from(z)) + target_from_depth.translation;
-                let pixel = self.target.project(&point);
-                let is_ahead = point.z > 1e-6;
-                Vertex {
-                    x: pixel.x,
-                    y: pixel.y,
-                    inv_depth: if is_ahead { 1.0 / point.z } else { f64::NAN },
-                }
-            })
-            .collect()
+        vertices.clear();
+        vertices.extend(depth.row(y).iter().enumerate().map(|(x, &z)| {
+            let ray = self.ray(x, y);
+            let point = rotation * (ray * f64::from(z)) + target_from_depth.translation;
+            let pixel = self.target.project(&point);
+            let is_ahead = point.z > 1e-6;
+            Vertex {
+                x: pixel.x,
+                y: pixel.y,
+                inv_depth: if is_ahead { 1.0 / point.z } else { f64::NAN },
+            }
+        }));
+    }
+
+    /// The ray with z = 1 of a depth pixel; NaN where the lens model has none.
+    fn ray(&self, x: usize, y: usize) -> Vec3 {
+        let camera = &self.calibration.camera;
+        if camera.distortion == Distortion::None {
+            return camera.pinhole.unproject(&Vec2::new(x as f64, y as f64));
+        }
+        let ideal = self.undistorted.get_or_init(|| undistorted(camera))[y * camera.width + x];
+        Vec3::new(ideal.x, ideal.y, 1.0)
+    }
+}
+
+/// Ideal coordinates of each pixel of a camera, NaN where its lens model has none.
+fn undistorted(camera: &Camera) -> Vec<Vec2> {
+    let pixels = (0..camera.height).flat_map(|y| (0..camera.width).map(move |x| (x, y)));
+    let ideal = |(x, y)| camera.unproject(&Vec2::new(x as f64, y as f64));
+    let or_none = |ray: Option<Vec3>| ray.map_or(Vec2::repeat(f64::NAN), |ray| ray.xy());
+    pixels.map(ideal).map(or_none).collect()
+}
+
+/// Draws the mesh between two rows of depth pixels, the upper one of which is row `y`.
+fn draw_between(nearest: &mut Image<f32>, [upper, lower]: [(&[f32], &[Vertex]); 2], y: usize) {
+    for x in 1..upper.0.len() {
+        let corner = |(depths, vertices): (&[f32], &[Vertex]), x: usize| (depths[x], vertices[x]);
+        let [a, b] = [x - 1, x].map(|x| corner(upper, x));
+        let [c, d] = [x - 1, x].map(|x| corner(lower, x));
+        // the diagonal alternates, so that no direction is preferred
+        let triangles = if (x - 1 + y) % 2 == 0 {
+            [[a, b, d], [a, d, c]]
+        } else {
+            [[a, b, c], [b, d, c]]
+        };
+        for corners in triangles {
+            if on_one_surface(corners.map(|(depth, _)| depth)) {
+                draw_triangle(nearest, corners.map(|(_, vertex)| vertex));
+            }
+        }
     }
 }
 
 /// Whether three depth pixels are known and lie on one surface.
-fn on_one_surface(depth: &[f32], corners: [usize; 3]) -> bool {
-    let z = corners.map(|c| f64::from(depth[c]));
+fn on_one_surface(depths: [f32; 3]) -> bool {
+    let z = depths.map(f64::from);
     let (min, max) = (z[0].min(z[1]).min(z[2]), z[0].max(z[1]).max(z[2]));
     // `min` and `max` skip NaN, so it has to be asked for
     z.iter().all(|v| v.is_finite()) && min > 0.0 && max <= min * SAME_SURFACE_RATIO
@@ -162,21 +192,16 @@ fn pixel_range(a: f64, b: f64, c: f64, size: usize) -> Option<(usize, usize)> {
     (first <= last).then_some((first, last))
 }
 
-/// Fills pixels that no triangle covers with the nearest depth pixel that falls on them: thin
-/// structures and the rims of objects.
-fn draw_points(nearest: &mut Image<f32>, vertices: &[Vertex]) {
-    let (w, h) = (nearest.width() as f64, nearest.height() as f64);
-    let mut points: Image<f32> = nearest.map(|_| 0.0);
+/// Keeps the nearest of the depth pixels that fall on a pixel.
+fn draw_points(points: &mut Image<f32>, vertices: &[Vertex]) {
+    let (w, h) = (points.width() as f64, points.height() as f64);
     for v in vertices.iter().filter(|v| v.inv_depth.is_finite()) {
         let (x, y) = (v.x + 0.5, v.y + 0.5);
         if x >= 0.0 && y >= 0.0 && x < w && y < h {
             let (x, y, inv) = (x as usize, y as usize, v.inv_depth as f32);
-            if nearest.at(x, y) == 0.0 && inv > points.at(x, y) {
+            if inv > points.at(x, y) {
                 points.set(x, y, inv);
             }
         }
-    }
-    for (n, p) in nearest.as_mut_slice().iter_mut().zip(points.as_slice()) {
-        *n = n.max(*p);
     }
 }

@@ -345,6 +345,18 @@ fn tiff_and_webp_are_read_whole_or_not_at_all() {
 }
 
 #[test]
+fn depth_of_more_pixels_than_a_camera_has_is_refused() {
+    for (side, is_read) in [(3547, false), (3546, true)] {
+        let mut bytes = format!("P5\n{side} {side}\n65535\n").into_bytes();
+        bytes.resize(bytes.len() + 2 * side * side, 1);
+        let decoded = decode_depth(&bytes, 1000.0, path());
+        let said = decoded.as_ref().err().map(ToString::to_string);
+        assert_eq!(decoded.is_ok(), is_read, "{side}: {said:?}");
+        assert!(said.is_none_or(|said| said.contains("expected at most 12582912")));
+    }
+}
+
+#[test]
 fn depth_may_be_a_tiff_of_16_bits() {
     let bytes = wide_tiff(3, 2, &[0, 1, 5000, 65534, 65535, 10]);
     let depth = decode_depth(&bytes, 5000.0, path()).expect("decodes");

@@ -161,3 +161,20 @@ fn what_lies_behind_the_colour_camera_is_not_drawn() {
         .expect("size");
     assert!(registered.as_slice().iter().all(|v| v.is_nan()));
 }
+
+#[test]
+fn a_camera_of_any_size_costs_nothing_until_an_image_of_it_is_there() {
+    for distortion in [Distortion::None, Distortion::Fov { omega: 0.9 }] {
+        let camera = depth_camera(distortion);
+        // more than any memory holds
+        let endless = Camera {
+            width: 1 << 31,
+            height: 1 << 31,
+            ..camera
+        };
+        let calibration = calibration(endless, Se3::identity());
+        let registration = DepthRegistration::new(&calibration, &camera.pinhole, 160, 120);
+        let depth = Image::filled(160, 120, 1.0f32);
+        assert!(registration.register(&depth).is_none());
+    }
+}
