@@ -23,6 +23,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     usage::process_start();
     batch::child::end_with_parent();
     memory::share_heaps();
+    memory::keep_no_large_pictures();
     let cli = match Cli::parse(arguments) {
         Ok(cli) => cli,
         Err(error) => return failure::usage(&error),

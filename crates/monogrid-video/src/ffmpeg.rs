@@ -65,14 +65,14 @@ const LIMITED_SCHEMES: [&str; 6] = ["http", "https", "rtmp", "rtmps", "tcp", "tl
 /// better message.
 const SILENCE_US: &str = "60000000";
 
-/// Threads of a decoder: each holds pictures of its own, so that on a large computer a small file
-/// would take gigabytes.
+/// Threads of a decoder, and of the filters: each holds pictures of its own, and memory for its
+/// calls, so that on a large computer a small file would take gigabytes.
 const THREADS: &str = "2";
 
 /// Memory for data of ffmpeg: what any file may take, and more for each of its bytes. A stream may
 /// ask for sixteen pictures of any size to be held: of 8K, which takes 450 MB with one, they would
-/// be 1.3 GB.
-const ANY_BYTES: u64 = 320 << 20;
+/// be 1.3 GB. This process has up to 200 MB of such pictures beside it.
+const ANY_BYTES: u64 = 224 << 20;
 const MORE_BYTES: u64 = 64;
 
 /// Most memory for data that ffmpeg may take for a file.
@@ -180,7 +180,8 @@ fn command(name: &str, live: bool, is_mirrored: bool) -> Command {
         format!("file:{name}")
     };
     command
-        .args(["-threads", THREADS, "-max_pixels", &MAX_PIXELS.to_string()])
+        .args(["-filter_threads", THREADS, "-threads", THREADS])
+        .args(["-max_pixels", &MAX_PIXELS.to_string()])
         .args(["-i", &input, "-map", "0:v:0", "-vsync", "passthrough"])
         .args(["-vf", &filter, "-f", "yuv4mpegpipe", "-strict", "-1", "-"])
         .stdin(Stdio::null())
@@ -387,9 +388,49 @@ impl Iterator for FfmpegFrames {
 
 #[cfg(test)]
 mod tests {
-    use super::{Before, Said, is_undecoded, refusal, shown_ns};
+    use super::{Before, Said, command, is_undecoded, most_bytes, refusal, shown_ns};
     use crate::turn::Turn;
+    use std::ffi::OsStr;
     use std::sync::mpsc::channel;
+
+    /// The value of an option, which must stand in front of the input that it is of.
+    fn value(name: &str, option: &str) -> String {
+        let command = command(name, name.contains("://"), false);
+        let words: Vec<&str> = command.get_args().filter_map(OsStr::to_str).collect();
+        let input = words.iter().position(|word| *word == "-i").unwrap();
+        let at = words[..input].iter().position(|word| *word == option);
+        words[at.expect(option) + 1].to_owned()
+    }
+
+    #[test]
+    fn a_source_may_open_and_hold_only_so_much() {
+        for name in ["a.mkv", "rtsp://camera/x"] {
+            for option in ["-threads", "-filter_threads"] {
+                assert_eq!(value(name, option), "2", "on any computer");
+            }
+            assert_eq!(value(name, "-max_pixels"), "33554432");
+            let formats = value(name, "-format_whitelist");
+            let formats: Vec<&str> = formats.split(',').collect();
+            let refused = ["concat", "lavfi", "image2", "v4l2", "ffmetadata"];
+            assert!(refused.iter().all(|format| !formats.contains(format)));
+            assert_eq!(formats.contains(&"hls"), name.contains("://"));
+        }
+        assert_eq!(value("a.mkv", "-protocol_whitelist"), "file");
+        let protocols = value("rtsp://camera/x", "-protocol_whitelist");
+        let mut protocols = protocols.split(',');
+        assert!(
+            protocols.all(|protocol| !["file", "pipe", "concat", "subfile"].contains(&protocol))
+        );
+    }
+
+    #[test]
+    fn memory_is_bounded_by_the_bytes_of_a_file() {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml");
+        let bytes = std::fs::metadata(file).unwrap().len();
+        let most = most_bytes(file, false).unwrap();
+        assert_eq!(most, (224 << 20) + 64 * bytes);
+        assert_eq!(most_bytes("rtsp://camera/x", true), None, "has no size");
+    }
 
     #[test]
     fn the_turn_of_the_input() {

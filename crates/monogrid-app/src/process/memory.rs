@@ -26,6 +26,13 @@ pub fn share_heaps() {
     }
 }
 
+/// Gives pictures of large sources back to the system as soon as they are free: kept for the next
+/// ones, they are as much again as those in use. Working images are smaller, and stay. To be called
+/// at the start.
+pub fn keep_no_large_pictures() {
+    give_back_at_once(2 << 20);
+}
+
 /// Gives large blocks back to the system as soon as they are free, for a run that must stay within
 /// a limit: matrices of an adjustment and lists of a report leave no holes. Costs a few percent of
 /// the time, since the system fills such blocks with zeros.
@@ -59,5 +66,28 @@ pub fn give_back() {
     // SAFETY: gives back only pages that no block lies in, behind the allocator's own locks
     unsafe {
         let _ = libc::malloc_trim(0);
+    }
+}
+
+#[cfg(all(test, target_os = "linux", target_env = "gnu"))]
+mod tests {
+    use super::*;
+    use crate::process::usage::rss_bytes;
+
+    #[test]
+    fn large_pictures_are_given_back_between_others_that_stay() {
+        const PICTURE: usize = 3 << 20;
+        keep_no_large_pictures();
+        // after one was given back, the allocator would keep those of its size
+        drop(vec![1u8; PICTURE]);
+        let before = rss_bytes().unwrap();
+        let mut pictures: Vec<Vec<u8>> = (0..64).map(|_| vec![1; PICTURE]).collect();
+        for picture in pictures.iter_mut().step_by(2) {
+            *picture = Vec::new();
+        }
+        let held = rss_bytes().unwrap().saturating_sub(before);
+        let expected = 32 * PICTURE as u64;
+        assert!(held < expected * 5 / 4, "{held} instead of {expected}");
+        assert_eq!(pictures.len(), 64);
     }
 }

@@ -11,15 +11,19 @@ use std::collections::VecDeque;
 /// ffmpeg; sixteen reference pictures of this size stay below half a gigabyte.
 const MAX_PICTURE_PIXELS: u64 = 36_864 * 256;
 
-/// Macroblocks of all pictures that a decoder must hold, as references or until their turn: those
-/// of level 5.2 (ITU-T H.264, table A-1). A stream may ask for any number.
-const MAX_HELD_MACROBLOCKS: u64 = 184_320;
+/// Bytes of all pictures that a decoder must hold, as references or until their turn: those of
+/// level 5.2 (184,320 macroblocks: ITU-T H.264, table A-1) in 4:2:0 and 8 bits. A stream may ask
+/// for any number, and one of 4:2:2 and 10 bits has nearly three times the bytes.
+const MAX_HELD_BYTES: u64 = 184_320 * 384;
 /// Pictures that a decoder must hold, whatever their size.
 const MAX_HELD: u64 = 16;
 
 /// Of each slice, the part that is taken out of the budget. A slice may cover all of its picture
 /// behind its beginning: eight even slices count as one picture and an eighth.
 const PART_OF_SLICE: usize = 4;
+/// The part of its picture that a slice counts for at least, however little it covers: the decoder
+/// copies what it knows of the picture for each.
+const LEAST_PART_OF_PICTURE: usize = 4;
 
 /// Decodes units, and holds the pictures that are complete.
 pub(super) struct BoundedDecoder {
@@ -28,6 +32,8 @@ pub(super) struct BoundedDecoder {
     ready: VecDeque<(Frame, i64)>,
     /// Pixels of a picture, by the last parameter set.
     picture_pixels: usize,
+    /// Pictures that may wait to be taken, by the last parameter set.
+    most_ready: usize,
     /// What the slices may cover together, shown or not; `None` for what comes as it happens.
     budget: Option<PixelBudget>,
 }
@@ -40,11 +46,13 @@ impl BoundedDecoder {
         budget: Option<PixelBudget>,
     ) -> Self {
         let infos = sets.filter_map(|unit| parse_sps_info(&unit).ok());
-        let most = infos.map(|info| max_held(coded_pixels(&info))).min();
+        let most = infos.map(|info| max_held(&info)).min();
+        let most = most.unwrap_or(MAX_HELD) as usize;
         Self {
-            decoder: OrderedDecoder::with_max_depth(most.unwrap_or(MAX_HELD) as usize),
+            decoder: OrderedDecoder::with_max_depth(most),
             ready: VecDeque::new(),
             picture_pixels: 0,
+            most_ready: 1 + most,
             budget,
         }
     }
@@ -60,13 +68,16 @@ impl BoundedDecoder {
         time: i64,
     ) -> Result<Result<(), String>, VideoError> {
         match unit.nal_unit_type {
-            NalUnitType::Sps => match picture_pixels(unit) {
-                Ok(pixels) => self.picture_pixels = pixels,
+            NalUnitType::Sps => match announced(unit) {
+                Ok(info) => {
+                    self.picture_pixels = coded_pixels(&info) as usize;
+                    self.most_ready = 1 + max_held(&info) as usize;
+                }
                 Err(reason) => return Ok(Err(reason)),
             },
             NalUnitType::Slice | NalUnitType::SliceIdr | NalUnitType::SliceDataA => {
                 self.spend(unit)?;
-                if self.ready.len() as u64 > 1 + max_held(self.picture_pixels as u64) {
+                if self.ready.len() > self.most_ready {
                     return Ok(Err("more than one picture in a sample".to_owned()));
                 }
             }
@@ -82,8 +93,9 @@ impl BoundedDecoder {
     fn spend(&mut self, slice: &NalUnit<'_>) -> Result<(), VideoError> {
         let before = first_number(slice).map_or(0, |block| block as usize * 256);
         let covered = self.picture_pixels.saturating_sub(before);
+        let least = MIN_FRAME_PIXELS.max(self.picture_pixels / LEAST_PART_OF_PICTURE);
         if let Some(budget) = &mut self.budget {
-            budget.spend(covered.max(MIN_FRAME_PIXELS) / PART_OF_SLICE, 1)?;
+            budget.spend(covered.max(least) / PART_OF_SLICE, 1)?;
         }
         Ok(())
     }
@@ -104,26 +116,29 @@ fn coded_pixels(info: &SpsInfo) -> u64 {
     u64::from(info.coded_width) * u64::from(info.coded_height)
 }
 
-/// Pictures of so many pixels that a decoder must hold at most.
-fn max_held(pixels: u64) -> u64 {
-    (MAX_HELD_MACROBLOCKS / (pixels / 256).max(1)).clamp(1, MAX_HELD)
+/// Pictures that a decoder must hold at most.
+fn max_held(info: &SpsInfo) -> u64 {
+    // of two pixels; grey ones are held as 4:2:0
+    let samples = if info.chroma_format < 2 { 3 } else { 4 };
+    let deepest = info.bit_depth_luma.max(info.bit_depth_chroma);
+    let bytes = coded_pixels(info) * samples / 2 * u64::from(deepest.div_ceil(8));
+    (MAX_HELD_BYTES / bytes.max(1)).clamp(1, MAX_HELD)
 }
 
-/// Pixels of the pictures that a parameter set announces, unless they are too large or too many.
-fn picture_pixels(unit: &NalUnit<'_>) -> Result<usize, String> {
+/// What a parameter set announces, unless its pictures are too large or too many.
+fn announced(unit: &NalUnit<'_>) -> Result<SpsInfo, String> {
     let info = parse_sps_info(unit).map_err(|e| e.to_string())?;
-    let pixels = coded_pixels(&info);
-    if pixels > MAX_PICTURE_PIXELS {
+    if coded_pixels(&info) > MAX_PICTURE_PIXELS {
         let (width, height) = (info.width, info.height);
         return Err(format!("pictures of {width}x{height} pixels"));
     }
-    let (found, most) = (u64::from(info.reference_frames), max_held(pixels));
+    let (found, most) = (u64::from(info.reference_frames), max_held(&info));
     if found > most {
         return Err(format!(
             "{found} reference pictures, expected at most {most}"
         ));
     }
-    Ok(pixels as usize)
+    Ok(info)
 }
 
 #[cfg(test)]
@@ -148,10 +163,19 @@ mod tests {
         start.chain(bits.chunks(8).map(byte)).collect()
     }
 
+    /// Baseline, level 5.1; identity.
+    const BASELINE: &str = "010000101100000000110011 1";
+    /// High 4:2:2, level 5.1; identity, chroma format, ten bits, no bypass, no matrices.
+    const TEN_BITS_422: &str = "011110100000000000110011 1 011 011 011 0 0";
+
     /// A sequence parameter set of so many macroblocks and references.
     fn parameters(columns: u32, rows: u32, references: u32) -> Vec<u8> {
-        // baseline, level 5.1; identity, bits of frame numbers, order by number
-        let start = "010000101100000000110011 1 1 011";
+        parameters_of(BASELINE, (columns, rows), references)
+    }
+
+    fn parameters_of(profile: &str, (columns, rows): (u32, u32), references: u32) -> Vec<u8> {
+        // bits of frame numbers, order by number
+        let start = format!("{profile} 1 011");
         let size = exp_golomb(columns - 1) + &exp_golomb(rows - 1);
         unit(
             0x67,
@@ -181,21 +205,30 @@ mod tests {
         BoundedDecoder::new(std::iter::empty(), Some(budget))
     }
 
-    fn announced(columns: u32, rows: u32, references: u32) -> Result<(), String> {
-        let bytes = parameters(columns, rows, references);
+    fn announces(profile: &str, size: (u32, u32), references: u32) -> Result<(), String> {
+        let bytes = parameters_of(profile, size, references);
         let units = parse_annex_b(&bytes);
         decoder(0).decode(&units[0], 0).expect("in the budget")
     }
 
     #[test]
     fn a_stream_may_not_have_any_number_of_pictures_held() {
-        for (columns, rows, most) in [(256, 144, 5), (240, 135, 5), (120, 68, 16), (1, 1, 16)] {
-            assert_eq!(announced(columns, rows, most), Ok(()), "{columns}x{rows}");
+        for (profile, size, most) in [
+            (BASELINE, (256, 144), 5),
+            (BASELINE, (240, 135), 5),
+            (BASELINE, (120, 68), 16),
+            (BASELINE, (1, 1), 16),
+            // a third more samples, of two bytes each
+            (TEN_BITS_422, (256, 144), 1),
+            (TEN_BITS_422, (240, 135), 2),
+            (TEN_BITS_422, (120, 68), 8),
+        ] {
+            assert_eq!(announces(profile, size, most), Ok(()), "{size:?}");
             let expected = format!("{} reference pictures, expected at most {most}", most + 1);
-            assert_eq!(announced(columns, rows, most + 1), Err(expected));
+            assert_eq!(announces(profile, size, most + 1), Err(expected));
         }
-        assert!(announced(4, 4, 1 << 30).is_err());
-        assert!(announced(257, 144, 1).is_err(), "too large");
+        assert!(announces(BASELINE, (4, 4), 1 << 30).is_err());
+        assert!(announces(BASELINE, (257, 144), 1).is_err(), "too large");
     }
 
     #[test]
@@ -237,5 +270,7 @@ mod tests {
         assert_eq!(slices_until_refused(0), 512 - 1);
         assert_eq!(slices_until_refused(2048), 1024 - 2);
         assert_eq!(slices_until_refused(3072), 2048 - 4);
+        // as much as from there on
+        assert_eq!(slices_until_refused(4095), 2048 - 4);
     }
 }
