@@ -272,7 +272,7 @@ impl Pipeline {
     ) -> Result<FrameReport, Unusable> {
         let rectified_later = self.rectifier.as_ref().map_or(0, Rectifier::num_waiting);
         let index = self.num_frames + rectified_later + self.readings.num_waiting();
-        let image = self.preparer.next(&self.preparation, image, false);
+        let image = self.preparer.next(&self.preparation, &image, false);
         let image = image.inspect_err(|_| self.pass_over())?;
         let frame = ReadFrame {
             index,

@@ -151,6 +151,7 @@ impl Preparation {
 /// Working images one after the other; what repeats the image before is found.
 #[derive(Debug, Default)]
 pub(crate) struct Preparer {
+    /// The working image before: that of the source may have a hundred times its bytes.
     previous: Option<GrayImage>,
 }
 
@@ -159,14 +160,14 @@ impl Preparer {
     pub(crate) fn next(
         &mut self,
         preparation: &Preparation,
-        image: GrayImage,
+        image: &GrayImage,
         must_be_used: bool,
     ) -> Result<GrayImage, Unusable> {
-        if !must_be_used && self.previous.as_ref() == Some(&image) {
+        let prepared = preparation.apply(image)?;
+        if !must_be_used && self.previous.as_ref() == Some(&prepared) {
             return Err(Unusable::Repeats);
         }
-        let prepared = preparation.apply(&image)?;
-        self.previous = Some(image);
+        self.previous = Some(prepared.clone());
         Ok(prepared)
     }
 }
@@ -192,12 +193,12 @@ mod tests {
         );
         let image = |k: usize| GrayImage::from_fn(40, 30, |x, y| ((x + y * k) % 200) as f32);
         let mut preparer = Preparer::default();
-        let mut next = |k, must| preparer.next(&preparation, image(k), must);
+        let mut next = |k, must| preparer.next(&preparation, &image(k), must);
         assert!(next(1, false).is_ok());
         assert_eq!(next(1, false).err(), Some(Unusable::Repeats));
         assert!(next(1, true).is_ok(), "one that must be used");
         assert!(next(2, false).is_ok() && next(1, false).is_ok());
-        let small = preparer.next(&preparation, GrayImage::filled(20, 30, 1.0), false);
+        let small = preparer.next(&preparation, &GrayImage::filled(20, 30, 1.0), false);
         assert!(small.is_err_and(|error| error.to_string().contains("20x30")));
         let one_pixel = |x: usize, y: usize| {
             if (x, y) == (7, 7) {
@@ -208,8 +209,34 @@ mod tests {
         };
         let image = GrayImage::from_fn(40, 30, one_pixel);
         assert!(
-            preparer.next(&preparation, image, false).is_ok(),
+            preparer.next(&preparation, &image, false).is_ok(),
             "one pixel is enough"
+        );
+    }
+
+    #[test]
+    fn of_the_image_before_no_more_is_held_than_was_used() {
+        let camera = Camera {
+            width: 2560,
+            height: 1920,
+            pinhole: Pinhole::new(1500.0, 1500.0, 1279.5, 959.5),
+            distortion: Distortion::None,
+        };
+        let size = WorkingSize::AUTOMATIC;
+        let preparation = Preparation::new(&camera, size, None, Photometric::default());
+        let image = GrayImage::from_fn(2560, 1920, |x, y| ((x + y * 3) % 200) as f32);
+        let mut preparer = Preparer::default();
+        assert!(preparer.next(&preparation, &image, false).is_ok());
+        let held = preparer.previous.as_ref().map(|p| (p.width(), p.height()));
+        assert_eq!(held, Some(preparation.size()));
+        assert!(preparation.size().0 < 2560, "it is reduced");
+        let again = preparer.next(&preparation, &image, false);
+        assert_eq!(again.err(), Some(Unusable::Repeats));
+        let mut other = image;
+        other.set(1000, 1000, other.at(1000, 1000) + 1.0);
+        assert!(
+            preparer.next(&preparation, &other, false).is_ok(),
+            "one value of one pixel is enough, though many become one"
         );
     }
 }

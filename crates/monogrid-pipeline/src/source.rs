@@ -234,7 +234,7 @@ impl<S: FrameSource> Reader<'_, S> {
         let must_be_used = self.must_be_used == Some(frame.index);
         let prepared = frame
             .image
-            .and_then(|image| self.preparer.next(self.preparation, image, must_be_used));
+            .and_then(|image| self.preparer.next(self.preparation, &image, must_be_used));
         Some(ReadFrame {
             index: frame.index,
             timestamp_ns: frame.timestamp_ns,
