@@ -4,7 +4,8 @@
     scripts/bombs.py PROGRAM [NAME ...]      all, or those with one of these words in their names
 
 Each is given to every command that reads its kind. None may take more than 500 MB of memory or 20 s of
-processor time, end by a signal or panic. KEEP: a folder in which the inputs stay.
+processor time, with the programs that it starts (ffmpeg), end by a signal or panic. KEEP: a folder in
+which the inputs stay.
 """
 
 import bz2
@@ -1049,7 +1050,8 @@ class Bits:
         self.bits = []
 
     def u(self, value, length):
-        self.bits.append(format(value, f"0{length}b"))
+        if length:
+            self.bits.append(format(value, f"0{int(length)}b"))
 
     def ue(self, value):
         length = (value + 1).bit_length()
@@ -1069,11 +1071,16 @@ class Bits:
         return bytes(out)
 
 
-def h264(columns, rows, references=1, start=0):
-    """Parameter sets, a plain picture and a slice that repeats what came before, from a macroblock on, of so many macroblocks."""
+def h264(columns, rows, references=1, start=0, colour="420"):
+    """Parameter sets, a plain picture and a slice that repeats what came before, from a macroblock on, of so many macroblocks;
+    colour: 420, 444, or 422 with 10 bits."""
     sps = Bits()
-    sps.u(66, 8), sps.u(0xC0, 8), sps.u(51, 8)
-    for value in (0, 0, 2, references):  # id, bits of frame numbers, order of pictures by their number, references
+    profile, flags, chroma, bits = {"420": (66, 0xC0, 1, 8), "422": (122, 0, 2, 10), "444": (244, 0, 3, 8)}[colour]
+    sps.u(profile, 8), sps.u(flags, 8), sps.u(51, 8)
+    sps.ue(0)  # id
+    if colour != "420":
+        sps.ue(chroma), sps.u(0, chroma == 3), sps.ue(bits - 8), sps.ue(bits - 8), sps.u(0, 2)
+    for value in (0, 2, references):  # bits of frame numbers, order of pictures by their number, references
         sps.ue(value)
     sps.u(0, 1)
     sps.ue(columns - 1), sps.ue(rows - 1)
@@ -1084,7 +1091,11 @@ def h264(columns, rows, references=1, start=0):
     first = Bits()
     first.ue(0), first.ue(7), first.ue(0), first.u(0, 4), first.ue(0), first.u(0, 2), first.ue(0)
     for _ in range(columns * rows):
-        first.ue(3), first.ue(0), first.ue(0), first.u(1, 1)  # one prediction, no residual
+        first.ue(3)  # one prediction, no residual
+        if colour == "444":
+            first.ue(0), first.u(7, 3)
+        else:
+            first.ue(0), first.ue(0), first.u(1, 1)
     def again(number):
         bits = Bits()
         bits.ue(start), bits.ue(5), bits.ue(0), bits.u(number % 16, 4), bits.u(0, 1), bits.u(0, 1), bits.u(0, 1), bits.ue(0)
@@ -1099,9 +1110,9 @@ def box(kind, *content):
     return struct.pack(">I", 8 + len(content)) + kind + content
 
 
-def mp4(columns, rows, count, references=1, claims=None, group=1, picture=lambda number: number, start=0, shown=None):
+def mp4(columns, rows, count, references=1, claims=None, group=1, picture=lambda number: number, start=0, shown=None, colour="420"):
     """Of so many slices, `group` of them in a sample, each of the picture that is named; the last `shown` samples alone are shown."""
-    sps, pps, first, again = h264(columns, rows, references, start)
+    sps, pps, first, again = h264(columns, rows, references, start, colour)
     units = [struct.pack(">I", len(unit)) + unit for unit in [first] + [again(picture(n)) for n in range(1, count)]]
     samples = units[:1] + [b"".join(units[n : n + group]) for n in range(1, count, group)]
     data = b"".join(samples)
@@ -1152,7 +1163,21 @@ def mp4_that_refers_to_everything(folder):
 @bomb(*VIDEO)
 def mp4_that_refers_to_much(folder):
     path = folder / "a.mp4"
-    path.write_bytes(mp4(256, 144, 30_000, references=5))
+    path.write_bytes(mp4(256, 144, 60_000, references=5))
+    return path
+
+
+@bomb(*VIDEO)
+def mp4_of_10_bits_that_refers_to_as_much_as_8_bits_may(folder):
+    path = folder / "a.mp4"
+    path.write_bytes(mp4(256, 144, 60_000, references=5, colour="422"))
+    return path
+
+
+@bomb(*VIDEO)
+def mp4_of_10_bits_that_refers_to_much(folder):
+    path = folder / "a.mp4"
+    path.write_bytes(mp4(240, 135, 60_000, references=2, colour="422"))
     return path
 
 
@@ -1161,6 +1186,13 @@ def mp4_of_larger_pictures(folder):
     # which ffmpeg decodes
     path = folder / "a.mp4"
     path.write_bytes(mp4(512, 256, 20_000))
+    return path
+
+
+@bomb(*VIDEO)
+def mp4_of_larger_pictures_in_full_colour(folder):
+    path = folder / "a.mp4"
+    path.write_bytes(mp4(512, 256, 20_000, colour="444"))
     return path
 
 
@@ -1189,6 +1221,13 @@ def mp4_of_many_pictures_in_a_sample(folder):
 def mp4_of_slices_over_each_other(folder):
     path = folder / "a.mp4"
     path.write_bytes(mp4(256, 144, 30_000, group=1000, picture=lambda number: (number - 1) // 1000 + 1, start=1))
+    return path
+
+
+@bomb(*VIDEO)
+def mp4_of_slices_at_the_end_of_a_picture(folder):
+    path = folder / "a.mp4"
+    path.write_bytes(mp4(256, 144, 60_000, group=1000, picture=lambda number: (number - 1) // 1000 + 1, start=36_000))
     return path
 
 
@@ -1550,15 +1589,27 @@ def scans_of_far_points(folder):
 
 
 @bomb("map IN --out OUT.ot", "run IN --fov 60 --out OUT", "truth IN --out OUT.ot", "truth IN --every 1 --resolution 0.01 --out OUT.ot")
-def depth_images_of_plain(folder):
+def depth_images_of_plain(folder, lens=""):
     depth = folder / "set" / "depth"
     depth.mkdir(parents=True)
     for index in range(30):
         (depth / f"{index}.png").write_bytes(png(3500, 3500, 16))
     (depth.parent / "depth.txt").write_text("".join(f"{n} depth/{n % 30}.png\n" for n in range(3000)))
     (depth.parent / "groundtruth.txt").write_text("".join(f"{n} 0 0 {n} 0 0 0 1\n" for n in range(3000)))
-    (depth.parent / "calibration_depth.txt").write_text("3000 3000 1750 1750 3500 3500\n5000\n")
+    (depth.parent / "calibration_depth.txt").write_text(f"3000 3000 1750 1750 {lens} 3500 3500\n5000\n")
     return depth.parent
+
+
+@bomb("map IN --out OUT.ot", "truth IN --out OUT.ot")
+def depth_images_of_a_lens(folder):
+    return depth_images_of_plain(folder, "0.1 -0.05 0.001 0.001 0.01")
+
+
+@bomb("map IN --out OUT.ot", "truth IN --out OUT.ot")
+def depth_of_an_endless_camera(folder):
+    path = depth_images_of_plain(folder)
+    (path / "calibration_depth.txt").write_text("3000 3000 1750 1750 1000000000 1000000000\n5000\n")
+    return path
 
 
 def limit():
@@ -1566,10 +1617,32 @@ def limit():
     resource.setrlimit(resource.RLIMIT_CPU, (MAX_SECONDS_MEASURED, MAX_SECONDS_MEASURED))
 
 
+def with_children(process):
+    """A process and those that it started, and they."""
+    yield process
+    for children in Path("/proc", str(process), "task").glob("*/children"):
+        for child in children.read_text().split():
+            yield from with_children(child)
+
+
+def resident_kb(process):
+    """Memory that a process and those that it started have now."""
+    pages = 0
+    try:
+        for one in with_children(process):
+            # what is of files is shared, and the system may take it back
+            _, resident, shared, *_ = Path("/proc", str(one), "statm").read_text().split()
+            pages += int(resident) - int(shared)
+    except OSError:
+        pass  # one of them has ended
+    return pages * os.sysconf("SC_PAGE_SIZE") // 1024
+
+
 def measured(program, words, folder):
     """Exit code, seconds of the processor and of the clock, kilobytes, what was said."""
     said = folder / "said"
     begin = time.monotonic()
+    most_kb = 0
     with said.open("wb") as out:
         child = subprocess.Popen([program, *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=out, cwd=folder,
                                  preexec_fn=limit, start_new_session=True)
@@ -1581,10 +1654,12 @@ def measured(program, words, folder):
             os.killpg(child.pid, signal.SIGKILL)
             _, status, usage = os.wait4(child.pid, 0)
             break
+        most_kb = max(most_kb, resident_kb(child.pid))
         time.sleep(0.02)
     child.returncode = os.waitstatus_to_exitcode(status)
     seconds = usage.ru_utime + usage.ru_stime
-    return child.returncode, seconds, time.monotonic() - begin, usage.ru_maxrss, said.read_text(errors="replace")
+    # the most of the program alone is known exactly, that of all together as often as it was looked at
+    return child.returncode, seconds, time.monotonic() - begin, max(usage.ru_maxrss, most_kb), said.read_text(errors="replace")
 
 
 def main():
