@@ -126,7 +126,7 @@ fn draw_between(nearest: &mut Image<f32>, [upper, lower]: [(&[f32], &[Vertex]); 
         let [a, b] = [x - 1, x].map(|x| corner(upper, x));
         let [c, d] = [x - 1, x].map(|x| corner(lower, x));
         // the diagonal alternates, so that no direction is preferred
-        let triangles = if (x - 1 + y) % 2 == 0 {
+        let triangles = if (x - 1 + y).is_multiple_of(2) {
             [[a, b, d], [a, d, c]]
         } else {
             [[a, b, c], [b, d, c]]

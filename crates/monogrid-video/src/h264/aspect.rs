@@ -41,12 +41,6 @@ pub(super) fn pixel_shape(unit: &NalUnit<'_>) -> Option<PixelShape> {
     }
 }
 
-/// The number that a unit begins with: the first macroblock of a slice.
-pub(super) fn first_number(unit: &NalUnit<'_>) -> Option<u32> {
-    let bytes = &unit.rbsp;
-    Bits { bytes, at: 0 }.exp_golomb()
-}
-
 fn shape_in(bits: &mut Bits) -> Option<PixelShape> {
     let profile = bits.number(8)?;
     bits.number(16)?; // constraints and level

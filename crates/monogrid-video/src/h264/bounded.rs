@@ -1,6 +1,5 @@
 //! A decoder that takes no more memory and time than what its stream stores is worth.
 
-use super::aspect::first_number;
 use crate::{MIN_FRAME_PIXELS, VideoError};
 use monogrid_datasets::PixelBudget;
 use rust_h264::decoder::{Frame, OrderedDecoder};
@@ -18,21 +17,20 @@ const MAX_HELD_BYTES: u64 = 184_320 * 384;
 /// Pictures that a decoder must hold, whatever their size.
 const MAX_HELD: u64 = 16;
 
-/// Of each slice, the part that is taken out of the budget. A slice may cover all of its picture
-/// behind its beginning: eight even slices count as one picture and an eighth.
-const PART_OF_SLICE: usize = 4;
-/// The part of its picture that a slice counts for at least, however little it covers: the decoder
+/// The part of its picture that a slice counts for, however little of it there is: the decoder
 /// copies what it knows of the picture for each.
-const LEAST_PART_OF_PICTURE: usize = 4;
+const PART_OF_SLICE: usize = 4;
 
 /// Decodes units, and holds the pictures that are complete.
 pub(super) struct BoundedDecoder {
     /// Carries the time of each sample, in the caller's unit, to its picture.
     decoder: OrderedDecoder<i64>,
     ready: VecDeque<(Frame, i64)>,
-    /// Pixels of a picture, by the last parameter set.
-    picture_pixels: usize,
-    /// Pictures that may wait to be taken, by the last parameter set.
+    /// Bytes of the largest picture of a parameter set, each of which any slice may name.
+    picture_bytes: u64,
+    /// What a slice takes out of the budget at most.
+    slice_cost: usize,
+    /// Pictures that may wait to be taken.
     most_ready: usize,
     /// What the slices may cover together, shown or not; `None` for what comes as it happens.
     budget: Option<PixelBudget>,
@@ -46,12 +44,13 @@ impl BoundedDecoder {
         budget: Option<PixelBudget>,
     ) -> Self {
         let infos = sets.filter_map(|unit| parse_sps_info(&unit).ok());
-        let most = infos.map(|info| max_held(&info)).min();
+        let most = infos.map(|info| max_held(plane_bytes(&info))).min();
         let most = most.unwrap_or(MAX_HELD) as usize;
         Self {
             decoder: OrderedDecoder::with_max_depth(most),
             ready: VecDeque::new(),
-            picture_pixels: 0,
+            picture_bytes: 0,
+            slice_cost: MIN_FRAME_PIXELS / PART_OF_SLICE,
             most_ready: 1 + most,
             budget,
         }
@@ -68,15 +67,16 @@ impl BoundedDecoder {
         time: i64,
     ) -> Result<Result<(), String>, VideoError> {
         match unit.nal_unit_type {
-            NalUnitType::Sps => match announced(unit) {
+            NalUnitType::Sps => match announced(unit, self.picture_bytes) {
                 Ok(info) => {
-                    self.picture_pixels = coded_pixels(&info) as usize;
-                    self.most_ready = 1 + max_held(&info) as usize;
+                    self.picture_bytes = self.picture_bytes.max(plane_bytes(&info));
+                    self.slice_cost = self.slice_cost.max(slice_cost(&info));
+                    self.most_ready = 1 + max_held(self.picture_bytes) as usize;
                 }
                 Err(reason) => return Ok(Err(reason)),
             },
             NalUnitType::Slice | NalUnitType::SliceIdr | NalUnitType::SliceDataA => {
-                self.spend(unit)?;
+                self.spend()?;
                 if self.ready.len() > self.most_ready {
                     return Ok(Err("more than one picture in a sample".to_owned()));
                 }
@@ -89,13 +89,10 @@ impl BoundedDecoder {
             .map_err(|e| e.to_string()))
     }
 
-    /// Takes out of the budget what a slice may cover.
-    fn spend(&mut self, slice: &NalUnit<'_>) -> Result<(), VideoError> {
-        let before = first_number(slice).map_or(0, |block| block as usize * 256);
-        let covered = self.picture_pixels.saturating_sub(before);
-        let least = MIN_FRAME_PIXELS.max(self.picture_pixels / LEAST_PART_OF_PICTURE);
+    /// Takes a slice out of the budget.
+    fn spend(&mut self) -> Result<(), VideoError> {
         if let Some(budget) = &mut self.budget {
-            budget.spend(covered.max(least) / PART_OF_SLICE, 1)?;
+            budget.spend(self.slice_cost, 1)?;
         }
         Ok(())
     }
@@ -116,23 +113,43 @@ fn coded_pixels(info: &SpsInfo) -> u64 {
     u64::from(info.coded_width) * u64::from(info.coded_height)
 }
 
-/// Pictures that a decoder must hold at most.
-fn max_held(info: &SpsInfo) -> u64 {
-    // of two pixels; grey ones are held as 4:2:0
-    let samples = if info.chroma_format < 2 { 3 } else { 4 };
-    let deepest = info.bit_depth_luma.max(info.bit_depth_chroma);
-    let bytes = coded_pixels(info) * samples / 2 * u64::from(deepest.div_ceil(8));
-    (MAX_HELD_BYTES / bytes.max(1)).clamp(1, MAX_HELD)
+/// Whether samples have more than eight bits.
+fn is_deep(info: &SpsInfo) -> bool {
+    info.bit_depth_luma.max(info.bit_depth_chroma) > 8
 }
 
-/// What a parameter set announces, unless its pictures are too large or too many.
-fn announced(unit: &NalUnit<'_>) -> Result<SpsInfo, String> {
+/// Bytes of the planes of a picture.
+fn plane_bytes(info: &SpsInfo) -> u64 {
+    // of two pixels; grey ones are held as 4:2:0
+    let samples = if info.chroma_format < 2 { 3 } else { 4 };
+    coded_pixels(info) * samples / 2 * if is_deep(info) { 2 } else { 1 }
+}
+
+/// Pictures of so many bytes that a decoder must hold at most.
+fn max_held(picture_bytes: u64) -> u64 {
+    (MAX_HELD_BYTES / picture_bytes.max(1)).clamp(1, MAX_HELD)
+}
+
+/// What a slice takes out of the budget, pixels. Samples of more than eight bits are decoded ten
+/// times as slowly: they count by their bytes.
+fn slice_cost(info: &SpsInfo) -> usize {
+    let pixels = coded_pixels(info) as usize;
+    match is_deep(info) {
+        true => (plane_bytes(info) as usize).max(MIN_FRAME_PIXELS),
+        false => pixels.max(MIN_FRAME_PIXELS) / PART_OF_SLICE,
+    }
+}
+
+/// What a parameter set announces, unless its pictures are too large, or too many of them or of
+/// those that were announced before.
+fn announced(unit: &NalUnit<'_>, bytes_before: u64) -> Result<SpsInfo, String> {
     let info = parse_sps_info(unit).map_err(|e| e.to_string())?;
     if coded_pixels(&info) > MAX_PICTURE_PIXELS {
         let (width, height) = (info.width, info.height);
         return Err(format!("pictures of {width}x{height} pixels"));
     }
-    let (found, most) = (u64::from(info.reference_frames), max_held(&info));
+    let most = max_held(plane_bytes(&info).max(bytes_before));
+    let found = u64::from(info.reference_frames);
     if found > most {
         return Err(format!(
             "{found} reference pictures, expected at most {most}"
@@ -232,6 +249,22 @@ mod tests {
     }
 
     #[test]
+    fn a_parameter_set_of_small_pictures_says_nothing_of_large_ones() {
+        let mut decoder = decoder(0);
+        let mut announce = |size: u32, references| {
+            let bytes = parameters(size, size, references);
+            let units = parse_annex_b(&bytes);
+            let outcome = decoder.decode(&units[0], 0).expect("in the budget");
+            (outcome.is_ok(), decoder.slice_cost)
+        };
+        assert_eq!(announce(4, 16), (true, 8192 / 4));
+        let large = (true, 192 * 192 * 64);
+        assert_eq!(announce(192, 5), large);
+        assert_eq!(announce(4, 5), large, "slices may still be of large ones");
+        assert!(!announce(4, 16).0, "which would be held as often");
+    }
+
+    #[test]
     fn a_sample_of_many_pictures_does_not_fill_the_memory() {
         let mut decoder = decoder(0);
         let bytes = [
@@ -265,12 +298,25 @@ mod tests {
     }
 
     #[test]
-    fn slices_that_cover_a_picture_again_and_again_are_refused() {
+    fn slices_of_a_picture_again_and_again_are_refused_however_little_they_cover() {
         // 2^27 pixels, of which the picture took a quarter of 2^20
-        assert_eq!(slices_until_refused(0), 512 - 1);
-        assert_eq!(slices_until_refused(2048), 1024 - 2);
-        assert_eq!(slices_until_refused(3072), 2048 - 4);
-        // as much as from there on
-        assert_eq!(slices_until_refused(4095), 2048 - 4);
+        for first in [0, 2048, 4095] {
+            assert_eq!(slices_until_refused(first), 512 - 1, "{first}");
+        }
+    }
+
+    #[test]
+    fn samples_of_ten_bits_count_by_their_bytes() {
+        let cost = |profile| {
+            let mut decoder = decoder(0);
+            let bytes = parameters_of(profile, (120, 68), 1);
+            let units = parse_annex_b(&bytes);
+            let outcome = decoder.decode(&units[0], 0).expect("in the budget");
+            assert_eq!(outcome, Ok(()));
+            decoder.slice_cost
+        };
+        let pixels = 120 * 68 * 256;
+        assert_eq!(cost(BASELINE), pixels / 4);
+        assert_eq!(cost(TEN_BITS_422), pixels * 4);
     }
 }
