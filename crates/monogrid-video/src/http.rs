@@ -215,3 +215,20 @@ impl<R: BufRead> Iterator for MjpegFrames<R> {
         Some(jpeg_frame(&self.name, self.frame - 1, jpeg, arrival_ns))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_head_of_an_answer_has_so_many_lines_and_no_more() {
+        let head = |lines: usize| "A: b\r\n".repeat(lines) + "\r\n";
+        let most = read_header(&mut head(99).as_bytes());
+        assert_eq!(most.map(|lines| lines.len()).ok(), Some(99));
+        let error = read_header(&mut head(100).as_bytes()).err();
+        assert_eq!(
+            error.map(|error| error.to_string()),
+            Some(endless_header().to_string())
+        );
+    }
+}

@@ -284,6 +284,20 @@ mod tests {
         assert!((16..40).contains(&most), "{most} pictures were held");
     }
 
+    #[test]
+    fn large_pictures_wait_for_their_turn_in_a_small_number() {
+        let repeats = (1..9).flat_map(|n| repeated(n, (0, 192 * 192)));
+        let bytes = [plain_picture(192), repeats.collect()].concat();
+        let budget = PixelBudget::of_video(Path::new("a.mp4"), 1 << 20);
+        let mut decoder = BoundedDecoder::new(parse_annex_b(&bytes).into_iter(), Some(budget));
+        for unit in parse_annex_b(&bytes) {
+            let outcome = decoder.decode(&unit, 0).expect("in the budget");
+            assert_eq!(outcome, Ok(()));
+        }
+        // eight are complete, and five may be held
+        assert_eq!(decoder.ready.len(), 3);
+    }
+
     /// Slices that are decoded after a picture of a megapixel, each from this macroblock on.
     fn slices_until_refused(first: u32) -> usize {
         let mut decoder = decoder(0);

@@ -310,6 +310,23 @@ fn no_client_keeps_others_or_the_end_waiting() {
     }
 }
 
+#[test]
+fn no_more_connections_are_open_than_may_be() {
+    let site = Site::new(PATIENT);
+    let mut held: Vec<TcpStream> = (0..12).map(|_| site.send("")).collect();
+    site.assert_answers("many connections");
+    // the oldest were closed; a connection that is open has nothing to say
+    for (number, stream) in held.iter_mut().enumerate().take(8) {
+        let said = stream.read(&mut [0; 1]);
+        let is_closed = match &said {
+            Ok(count) => *count == 0,
+            Err(error) => error.kind() == std::io::ErrorKind::ConnectionReset,
+        };
+        assert!(is_closed, "{number}: {said:?}");
+    }
+    site.end();
+}
+
 /// The tests above have limits of their own.
 #[test]
 fn limits_of_the_program_are_small() {
