@@ -3,8 +3,8 @@
 //! Every pixel of a keyframe with enough gradient carries a Gaussian over its inverse depth,
 //! refined by small- and long-baseline stereo against frames whose pose is known.
 //!
-//! Flow: [`HostFrame`] (image, gradients, mask) → [`DepthMap::propagate`] or an `initialize_…` →
-//! for each frame [`DepthMap::bands`] and [`DepthBand::observe`], [`DepthMap::finish_observation`],
+//! Flow: [`HostFrame`] (image, gradients, mask) → [`DepthMap::propagate`] or an `initialize_…`, and
+//! [`DepthMap::fuse_measured`] where a depth camera measured depth → for each frame [`DepthMap::bands`] and [`DepthBand::observe`], [`DepthMap::finish_observation`],
 //! [`DepthMap::fill_holes`], [`DepthMap::regularize`] → [`DepthMap::pixels`]. When all poses are
 //! known: [`refine_depth`] from the images of the other keyframes, and [`dense_depth`] for the
 //! pixels that the filter does not have.
@@ -32,6 +32,7 @@ mod initialize;
 mod line_match;
 mod map;
 mod measure;
+mod measured;
 mod multi_view;
 mod observe;
 mod packed;
@@ -48,6 +49,7 @@ pub use config::{DepthConfig, FrameChoice, GradientSelection, VarianceModel};
 pub use dense::{DenseConfig, DenseDepth, SupportingView, dense_depth};
 pub use host::HostFrame;
 pub use map::{DepthMap, FoundDepth};
+pub use measured::MeasuredDepth;
 pub use monogrid_image::DepthPixel;
 pub use multi_view::{MultiViewConfig, SourceView, refine_depth};
 pub use observe::{DepthBand, StereoFrame};

@@ -27,7 +27,7 @@ fn inputs() -> &'static [FrameInput] {
                 index,
                 timestamp_ns: frame.timestamp_ns,
                 image: frame.image,
-                seed_depth: (index == 0).then(|| sequence().depth(0)).flatten(),
+                depth: (index == 0).then(|| sequence().depth(0)).flatten(),
             }
         };
         (0..FRAMES).map(input).collect()

@@ -278,6 +278,7 @@ impl Pipeline {
             index,
             timestamp_ns,
             image: Some(Ok(image)),
+            depth: None,
             readout_ms: self.preparation.readout_ms(),
             rectification: None,
             due: None,
@@ -321,7 +322,7 @@ impl Pipeline {
                 index: frame.index,
                 timestamp_ns: frame.timestamp_ns,
                 image,
-                seed_depth: None,
+                depth: frame.depth.and_then(Result::ok),
             };
             self.track_telling(frame, told)
         }))

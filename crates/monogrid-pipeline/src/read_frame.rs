@@ -14,6 +14,8 @@ pub struct ReadFrame {
     pub timestamp_ns: i64,
     /// The working image; `None` for one that was dropped at [`Pace::Real`](crate::Pace::Real).
     pub image: Option<Result<GrayImage, Unusable>>,
+    /// [`SourceFrame::depth`](crate::SourceFrame::depth).
+    pub depth: Option<Result<GrayImage, Unusable>>,
     /// The rolling shutter that was taken out of it: time from the first row to the last, ms.
     pub readout_ms: f64,
     /// How that was done, where it was.

@@ -86,6 +86,7 @@ mod tests {
             index: 0,
             timestamp_ns,
             image: None,
+            depth: None,
             readout_ms: 0.0,
             rectification: None,
             due: None,

@@ -329,6 +329,7 @@ mod tests {
             index,
             timestamp_ns: index as i64 * INTERVAL_NS,
             image: Some(Ok(image)),
+            depth: None,
             readout_ms: 0.0,
             rectification: None,
             due: None,
@@ -480,6 +481,7 @@ mod tests {
             waited += 1;
             rectifier.add(ReadFrame {
                 image: Some(Err(Unusable::Repeats)),
+                depth: None,
                 ..frame(waited, [4.0, 0.0], READOUT_NS)
             });
         }

@@ -28,6 +28,9 @@ pub struct SourceFrame {
     pub timestamp_ns: i64,
     /// The image of the camera (grey, 0 to 255), or why there is none.
     pub image: Result<GrayImage, Unusable>,
+    /// Depth (z, metres, NaN where unknown) in the camera of the working images, where a depth
+    /// camera measured it, or why it cannot be used.
+    pub depth: Option<Result<GrayImage, Unusable>>,
 }
 
 /// Frames of a file, a folder, a camera, a stream. Every iterator over frames is one.
@@ -239,6 +242,7 @@ impl<S: FrameSource> Reader<'_, S> {
             index: frame.index,
             timestamp_ns: frame.timestamp_ns,
             image: Some(prepared),
+            depth: frame.depth,
             readout_ms: self.readout_ms,
             rectification: None,
             due: None,
@@ -319,6 +323,7 @@ mod tests {
             index,
             timestamp_ns: 1_000_000 * index as i64,
             image: Ok(GrayImage::filled(40, 30, (index % 200) as f32)),
+            depth: None,
         })
     }
 

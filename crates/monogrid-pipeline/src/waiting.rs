@@ -105,7 +105,8 @@ impl Queue {
         let chain: Vec<(usize, i64)> = before.into_iter().chain(waiting).collect();
         let step = |around: &&[(usize, i64)]| around[2].1.saturating_sub(around[0].1);
         if let Some(around) = chain.windows(3).min_by_key(step) {
-            self.frames[around[1].0].image = None;
+            let dropped = &mut self.frames[around[1].0];
+            (dropped.image, dropped.depth) = (None, None);
         }
     }
 }
@@ -130,6 +131,7 @@ mod tests {
             rectification: None,
             due: None,
             image: Some(Ok(GrayImage::filled(1, 1, 0.0))),
+            depth: None,
         }
     }
 

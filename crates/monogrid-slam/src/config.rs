@@ -45,6 +45,8 @@ pub struct SlamConfig {
     pub keyframes: KeyframeConfig,
     /// Depth filter.
     pub depth: DepthConfig,
+    /// A depth camera beside the camera.
+    pub depth_camera: DepthCameraConfig,
     /// Which depth is published.
     pub publication: PublicationConfig,
     /// Sparse layer.
@@ -101,7 +103,7 @@ pub enum InitializationMode {
 /// Settings of the start.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InitializationConfig {
-    /// Method, unless a seed depth is given.
+    /// Method, unless a depth camera measured depth.
     pub mode: InitializationMode,
     /// Features followed from the first frame.
     pub num_features: usize,
@@ -122,8 +124,6 @@ pub struct InitializationConfig {
     /// Largest median relative standard deviation of the features' inverse depths with which a
     /// two-view start is accepted.
     pub max_relative_sigma: f64,
-    /// Relative standard deviation of a seed depth.
-    pub seed_relative_sigma: f32,
 }
 
 impl Default for InitializationConfig {
@@ -138,8 +138,21 @@ impl Default for InitializationConfig {
             patient_frames: 90,
             sigma_px: 0.5,
             max_relative_sigma: 0.03,
-            seed_relative_sigma: 0.02,
         }
+    }
+}
+
+/// A depth camera whose images belong to frames.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DepthCameraConfig {
+    /// Standard deviation of a depth at 1 m, m; it grows with the square of the depth.
+    pub sigma: f32,
+}
+
+impl Default for DepthCameraConfig {
+    fn default() -> Self {
+        // structured light: Khoshelham and Elberink, Sensors 2012
+        Self { sigma: 0.0014 }
     }
 }
 

@@ -1,8 +1,12 @@
 //! Frames as they come in and as the tracker needs them.
 
+use crate::FragmentId;
+use crate::map::Map;
+use crate::store::Kept;
 use monogrid_alignment::Target;
+use monogrid_depth::MeasuredDepth;
 use monogrid_image::{GrayImage, Image, Pyramid, to_gray8};
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 /// One working image.
 #[derive(Clone, Debug)]
@@ -13,9 +17,13 @@ pub struct FrameInput {
     pub timestamp_ns: i64,
     /// Undistorted grey image of the working size, values in [0, 255].
     pub image: GrayImage,
-    /// Depth (z, metres, NaN where unknown) in the working camera, to start with a metric scale.
-    pub seed_depth: Option<GrayImage>,
+    /// Depth (z, metres, NaN where unknown) in the working camera, where a depth camera measured
+    /// it; one of another size is not used.
+    pub depth: Option<GrayImage>,
 }
+
+/// What a depth camera measured, looked at when it is needed: of most frames nobody asks for it.
+pub(crate) type LaterMeasured = LazyLock<MeasuredDepth, Box<dyn FnOnce() -> MeasuredDepth + Send>>;
 
 /// A frame with its pyramid.
 #[derive(Clone, Debug)]
@@ -24,11 +32,23 @@ pub(crate) struct Frame {
     pub timestamp_ns: i64,
     pub pyramid: Arc<Pyramid>,
     pub target: Target,
+    /// What a depth camera measured with it.
+    pub measured: Option<Arc<LaterMeasured>>,
 }
 
 impl Frame {
     pub(crate) fn image(&self) -> &GrayImage {
         self.pyramid.level(0)
+    }
+
+    /// What a depth camera measured with it, for a keyframe of a fragment that is in metres.
+    pub(crate) fn measured_for(
+        &self,
+        map: &Map,
+        fragment: FragmentId,
+    ) -> Option<Kept<MeasuredDepth>> {
+        let measured = self.measured.as_ref().filter(|_| map.is_metric(fragment))?;
+        Some(map.store().keep(MeasuredDepth::clone(measured)))
     }
 }
 
@@ -38,6 +58,7 @@ pub(crate) struct BufferedFrame {
     pub index: usize,
     pub timestamp_ns: i64,
     image: Image<u8>,
+    pub measured: Option<Arc<LaterMeasured>>,
 }
 
 impl BufferedFrame {
@@ -46,6 +67,7 @@ impl BufferedFrame {
             index: frame.index,
             timestamp_ns: frame.timestamp_ns,
             image: frame.image().map(to_gray8),
+            measured: frame.measured.clone(),
         }
     }
 

@@ -2,10 +2,10 @@
 
 use crate::KeyframeCamera;
 use crate::SlamConfig;
-use crate::frame::{BufferedFrame, Frame, FrameInput};
+use crate::frame::{BufferedFrame, Frame, FrameInput, LaterMeasured};
 use crate::view::NUM_LEVELS;
 use monogrid_alignment::Target;
-use monogrid_depth::HostFrame;
+use monogrid_depth::{HostFrame, MeasuredDepth};
 use monogrid_geometry::{Pinhole, Rotation, Vec3};
 use monogrid_image::{GrayImage, Mask, Pyramid};
 use monogrid_inertial::Imu;
@@ -47,12 +47,25 @@ impl Setup {
 
     /// A frame as tracking needs it.
     pub(crate) fn frame(&self, input: FrameInput) -> Frame {
-        self.frame_of((input.index, input.timestamp_ns), input.image)
+        let is_usable = |depth: &GrayImage| depth.same_size(&input.image);
+        let depth = input.depth.filter(is_usable);
+        let sigma = self.config.depth_camera.sigma;
+        let measured = depth.map(|depth| {
+            let look = move || MeasuredDepth::new(&depth, sigma);
+            Arc::new(LaterMeasured::new(Box::new(look)))
+        });
+        Frame {
+            measured,
+            ..self.frame_of((input.index, input.timestamp_ns), input.image)
+        }
     }
 
     /// A frame that waited for the first keyframe.
     pub(crate) fn restored(&self, buffered: &BufferedFrame) -> Frame {
-        self.frame_of((buffered.index, buffered.timestamp_ns), buffered.image())
+        Frame {
+            measured: buffered.measured.clone(),
+            ..self.frame_of((buffered.index, buffered.timestamp_ns), buffered.image())
+        }
     }
 
     fn frame_of(&self, when: (usize, i64), image: GrayImage) -> Frame {
@@ -72,6 +85,7 @@ impl Setup {
             timestamp_ns,
             pyramid,
             target,
+            measured: None,
         }
     }
 

@@ -1,4 +1,4 @@
-//! How the first keyframe gets its depth: from a depth image, at random, or from two views.
+//! How the first keyframe gets its depth: from a depth camera, at random, or from two views.
 
 use crate::frame::{BufferedFrame, Frame};
 use crate::median::median;
@@ -8,7 +8,6 @@ use crate::two_view_start::TwoViewStart;
 use crate::{InitializationMode, LostReason, Scale, SlamConfig};
 use monogrid_depth::DepthMap;
 use monogrid_geometry::Se3;
-use monogrid_image::GrayImage;
 
 /// Waits for the first keyframe.
 #[derive(Debug)]
@@ -86,15 +85,14 @@ impl Start {
         }
     }
 
-    /// Takes the next frame: the first keyframe, or why there is none yet. A seed depth decides at
-    /// once, whatever the mode.
+    /// Takes the next frame: the first keyframe, or why there is none yet. Measured depth decides
+    /// at once, whatever the mode.
     pub(crate) fn add_frame(
         &mut self,
         frame: Frame,
-        seed_depth: Option<&GrayImage>,
         setup: &Setup,
     ) -> Result<Box<Started>, LostReason> {
-        if let Some(started) = seed_depth.and_then(|depth| from_seed_depth(&frame, depth, setup)) {
+        if let Some(started) = from_measured_depth(&frame, setup) {
             return Ok(Box::new(started));
         }
         match self {
@@ -115,22 +113,18 @@ fn random(frame: Frame, seed: u64, setup: &Setup) -> Option<Started> {
     (depth.num_known() >= MIN_POINTS).then(|| Started::new(frame, depth))
 }
 
-/// A metric start from a depth image. The keyframe's unit is the median depth.
-fn from_seed_depth(frame: &Frame, seed_depth: &GrayImage, setup: &Setup) -> Option<Started> {
-    let config = &setup.config;
-    if !seed_depth.same_size(frame.image()) {
-        return None;
-    }
-    let depths = seed_depth.as_slice().iter().copied();
-    let mut known: Vec<f32> = depths.filter(|z| z.is_finite() && *z > 0.0).collect();
-    if known.len() < MIN_POINTS {
-        return None;
-    }
-    let unit = median(&mut known)?;
-    let mut depth = DepthMap::empty(setup.host(frame.image().clone())?, &config.depth);
-    let sigma = config.initialization.seed_relative_sigma;
-    depth.initialize_from_depth(&seed_depth.map(|z| z / unit), sigma);
-    (depth.num_known() >= MIN_POINTS).then(|| Started {
+/// A metric start from what a depth camera measured with the frame. The keyframe's unit is the
+/// median depth.
+fn from_measured_depth(frame: &Frame, setup: &Setup) -> Option<Started> {
+    let measured = frame.measured.as_ref()?;
+    let mut depths: Vec<f32> = measured
+        .pixels(1.0)
+        .map(|pixel| 1.0 / pixel.idepth)
+        .collect();
+    let unit = median(&mut depths)?;
+    let mut depth = DepthMap::empty(setup.host(frame.image().clone())?, &setup.config.depth);
+    let num_measured = depth.fuse_measured(measured, unit);
+    (num_measured >= MIN_POINTS).then(|| Started {
         world_scale: f64::from(unit),
         scale: Scale::Metric,
         ..Started::new(frame.clone(), depth)

@@ -120,7 +120,10 @@ impl TwoViewStart {
 
     /// Keeps the newest frames, in eight bits.
     fn buffer(&mut self, frame: &Frame) {
-        self.buffered.push(BufferedFrame::new(frame));
+        let mut kept = BufferedFrame::new(frame);
+        // measured depth that was too little to start from
+        kept.measured = None;
+        self.buffered.push(kept);
         if self.buffered.len() <= self.settings.max_buffered_frames {
             return;
         }

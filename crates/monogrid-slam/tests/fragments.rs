@@ -63,7 +63,7 @@ fn video<'a>(images: impl Iterator<Item = &'a GrayImage>) -> Vec<FrameInput> {
             index,
             timestamp_ns: index as i64 * INTERVAL_NS,
             image: image.clone(),
-            seed_depth: (index == 0).then(|| world().sequence.depth(0)).flatten(),
+            depth: (index == 0).then(|| world().sequence.depth(0)).flatten(),
         })
         .collect()
 }
@@ -278,7 +278,7 @@ fn the_map_is_the_largest_fragment_in_the_end() {
     let num_known = 30;
     let mut inputs = video(world().known[..num_known].iter().chain(&other));
     for input in &mut inputs {
-        input.seed_depth = None;
+        input.depth = None;
     }
     let mut slam = system();
     let reports = run(&mut slam, &inputs);
@@ -307,7 +307,7 @@ fn the_map_is_the_largest_fragment_in_the_end() {
     assert_eq!(again.fragments().len(), 1);
 
     // a first map in metres stays the map
-    inputs[0].seed_depth = world().sequence.depth(0);
+    inputs[0].depth = world().sequence.depth(0);
     let mut slam = system();
     run(&mut slam, &inputs);
     slam.finish();

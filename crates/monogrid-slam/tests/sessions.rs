@@ -35,7 +35,7 @@ fn world() -> &'static World {
                 index,
                 timestamp_ns: frame.timestamp_ns,
                 image: frame.image,
-                seed_depth: (index == 0).then(|| sequence.depth(0)).flatten(),
+                depth: (index == 0).then(|| sequence.depth(0)).flatten(),
             });
         }
         World {
@@ -186,7 +186,7 @@ fn a_place_that_was_never_seen_has_no_pose() {
             image: GrayImage::from_fn(camera.width, camera.height, |x, y| {
                 ((x * 7 + y * 13 + index * 29) % 251) as f32
             }),
-            seed_depth: None,
+            depth: None,
         })
         .collect();
     for purpose in [Purpose::Extend, Purpose::LocaliseOnly] {

@@ -4,8 +4,8 @@
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps")]
 
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
-use monogrid_geometry::Se3;
-use monogrid_image::{GrayImage, Mask};
+use monogrid_geometry::{Rng, Se3, Vec2, Vec3, rotation_exp};
+use monogrid_image::{GrayImage, Mask, bilinear};
 use monogrid_slam::{
     DepthPixel, FrameInput, FrameReport, InitializationMode, KeptKeyframe, LostReason, Scale, Slam,
     SlamConfig, TrackingState,
@@ -41,7 +41,7 @@ fn clip() -> &'static Clip {
                 index: k,
                 timestamp_ns: frame.timestamp_ns,
                 image: frame.image,
-                seed_depth: None,
+                depth: None,
             });
         }
         Clip {
@@ -79,7 +79,7 @@ fn evaluate(slam: &Slam) -> TrajectoryReport {
 
 fn with_seed_depth() -> Vec<FrameInput> {
     let mut inputs = clip().inputs.clone();
-    inputs[0].seed_depth = clip().sequence.depth(0);
+    inputs[0].depth = clip().sequence.depth(0);
     inputs
 }
 
@@ -136,6 +136,108 @@ fn a_seed_depth_makes_the_scale_metric() {
     assert!(report.ate_rmse < 0.01 * report.path_length);
     assert_eq!(reports[0].state, TrackingState::Good);
     assert!(reports[0].created_keyframe);
+}
+
+/// All of the clip with what a depth camera would measure with every frame of these: its noise is
+/// that of structured light, and some pixels are holes.
+fn with_depth_camera(has_depth: impl Fn(usize) -> bool) -> Vec<FrameInput> {
+    let mut inputs = clip().inputs.clone();
+    for k in (0..FRAMES).filter(|k| has_depth(*k)) {
+        let depth = clip().sequence.depth(k).unwrap();
+        let mut random = Rng::new(k as u64);
+        let mut uniform = || (random.next_u64() >> 40) as f32 / (1u32 << 24) as f32;
+        inputs[k].depth = Some(depth.map(|z| {
+            let normal = (0..12).map(|_| uniform()).sum::<f32>() - 6.0;
+            let is_hole = uniform() < 0.02;
+            if is_hole {
+                f32::NAN
+            } else {
+                z + 0.0014 * z * z * normal
+            }
+        }));
+    }
+    inputs
+}
+
+#[test]
+fn a_depth_camera_holds_the_scale_and_makes_poses_better() {
+    let (alone, _) = run(SlamConfig::default(), 0, &clip().inputs);
+    let (all, reports) = run(SlamConfig::default(), 0, &with_depth_camera(|_| true));
+    let (seldom, _) = run(
+        SlamConfig::default(),
+        0,
+        &with_depth_camera(|k| k % 20 == 0),
+    );
+    assert!(reports.iter().all(|r| r.state == TrackingState::Good));
+    let [alone, with, rare] = [&alone, &all, &seldom].map(evaluate);
+    for (slam, report) in [(&all, &with), (&seldom, &rare)] {
+        assert_eq!(slam.scale(), Scale::Metric);
+        assert!((report.scale - 1.0).abs() < 0.005, "scale {}", report.scale);
+        assert_eq!(slam.num_measured_keyframes(), slam.num_keyframes());
+    }
+    assert!(
+        with.ate_rmse < alone.ate_rmse,
+        "{} {}",
+        with.ate_rmse,
+        alone.ate_rmse
+    );
+    // what is published of a keyframe is what the depth camera saw of it
+    let area = clip().sequence.camera().width * clip().sequence.camera().height;
+    assert!(all.keyframes().iter().all(|k| k.num_pixels > area * 8 / 10));
+}
+
+#[test]
+fn a_camera_that_only_turns_is_tracked_with_depth() {
+    let sequence = demo();
+    let camera = sequence.camera();
+    // one picture in the middle of a turn: what the pixels of a camera that turned about its
+    // centre show follows from it
+    let frame = sequence.frame(0).unwrap();
+    let depth = sequence.depth(0).unwrap();
+    let turned = |angle: f64| {
+        let pinhole = camera.pinhole;
+        let first_from_turned = rotation_exp(&Vec3::new(0.0, angle, 0.0));
+        let seen = |x: usize, y: usize| {
+            let ray = first_from_turned * pinhole.unproject(&Vec2::new(x as f64, y as f64));
+            (pinhole.project(&ray), ray.z)
+        };
+        let inside = |at: &Vec2| {
+            let (w, h) = (camera.width as f64, camera.height as f64);
+            at.x >= 0.0 && at.y >= 0.0 && at.x < w - 1.0 && at.y < h - 1.0
+        };
+        let image = GrayImage::from_fn(camera.width, camera.height, |x, y| {
+            let (at, _) = seen(x, y);
+            bilinear(&frame.image, at.x as f32, at.y as f32).unwrap_or(0.0)
+        });
+        let depth = GrayImage::from_fn(camera.width, camera.height, |x, y| {
+            let (at, along) = seen(x, y);
+            let z = if inside(&at) {
+                depth.at(at.x as usize, at.y as usize)
+            } else {
+                f32::NAN
+            };
+            z / along as f32
+        });
+        (image, depth)
+    };
+    let mut slam = system(SlamConfig::default(), 0);
+    for k in 0..12 {
+        let angle = 0.02 * k as f64;
+        let (image, depth) = turned(angle);
+        let report = slam.process_frame(FrameInput {
+            index: k,
+            timestamp_ns: k as i64 * 33_333_333,
+            image,
+            depth: Some(depth),
+        });
+        assert_eq!(report.state, TrackingState::Good, "frame {k}");
+        let pose = report.world_from_camera.unwrap();
+        assert!(pose.translation.norm() < 0.01, "frame {k}: {pose:?}");
+        assert!(
+            (pose.rotation.angle() - angle).abs() < 0.002,
+            "frame {k}: {pose:?}"
+        );
+    }
 }
 
 #[test]
@@ -215,7 +317,7 @@ fn nothing_to_see_is_no_map() {
         index: k,
         timestamp_ns: k as i64 * 33_000_000,
         image: GrayImage::filled(camera.width, camera.height, value),
-        seed_depth: None,
+        depth: None,
     };
     for config in [SlamConfig::default(), SlamConfig::thesis()] {
         let inputs: Vec<FrameInput> = (0..20).map(|k| blank(k, k as f32)).collect();
@@ -295,7 +397,7 @@ fn a_kidnapped_camera_is_recognised_at_an_old_keyframe() {
                 index,
                 timestamp_ns: frame.timestamp_ns,
                 image: frame.image,
-                seed_depth: (k == 0).then(|| sequence.depth(0)).flatten(),
+                depth: (k == 0).then(|| sequence.depth(0)).flatten(),
             }
         })
         .collect();
@@ -457,7 +559,7 @@ fn back_and_forth(ways: usize) -> Vec<FrameInput> {
             index,
             timestamp_ns: index as i64 * 100_000_000,
             image: frames[source_of(index)].clone(),
-            seed_depth: (index == 0).then(|| sequence.depth(0)).flatten(),
+            depth: (index == 0).then(|| sequence.depth(0)).flatten(),
         })
         .collect()
 }

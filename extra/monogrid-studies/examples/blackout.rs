@@ -120,7 +120,7 @@ fn main() {
             index: k,
             timestamp_ns: frame.timestamp_ns,
             image,
-            seed_depth: None,
+            depth: None,
         });
     }
     slam.finish();

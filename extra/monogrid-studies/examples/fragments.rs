@@ -102,7 +102,7 @@ fn play(
                 Some((scene, frame)) => scenes[*scene].image(*frame),
                 None => GrayImage::filled(width, height, 3.0),
             },
-            seed_depth: None,
+            depth: None,
         });
         counts[report.state as usize] += 1;
         if print_states && last_state != Some(report.state) {

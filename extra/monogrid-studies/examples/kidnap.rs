@@ -84,7 +84,7 @@ impl Scene {
                 } else {
                     self.0.image(frame)
                 },
-                seed_depth: None,
+                depth: None,
             });
             if let Some(pose) = report.world_from_camera {
                 poses.push((k, frame, pose));

@@ -54,7 +54,7 @@ fn main() {
             index: entry.index,
             timestamp_ns: entry.timestamp_ns,
             image: sequence.image(frame),
-            seed_depth: is_first
+            depth: is_first
                 .then(|| sequence.true_depth(entry.timestamp_ns))
                 .flatten(),
         });

@@ -138,7 +138,7 @@ fn beside_tracking(folder: &Path, mut live: LiveMaps, poses: &[Sim3], frames: us
                 index: *index,
                 timestamp_ns: *timestamp_ns,
                 image: image.clone(),
-                seed_depth: None,
+                depth: None,
             });
         }
         let frames = images.len() as f64;

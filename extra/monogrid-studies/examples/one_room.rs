@@ -49,7 +49,7 @@ fn main() {
             index,
             timestamp_ns,
             image: images[source].map(f32::from),
-            seed_depth: None,
+            depth: None,
         });
         millis += begin.elapsed().as_secs_f64() * 1e3;
         frames += 1;

@@ -156,7 +156,7 @@ fn run(
             index: k,
             timestamp_ns: frame.timestamp_ns,
             image: disturbance.applied(frame.image, frame.index),
-            seed_depth: None,
+            depth: None,
         });
         states.push(report.state);
     }

@@ -118,7 +118,7 @@ fn first_pass(
                 index: frame.index,
                 timestamp_ns: frame.timestamp_ns,
                 image,
-                seed_depth: None,
+                depth: None,
             })
         });
         posed.push(report.is_some_and(|report| report.world_from_camera.is_some()));
@@ -276,6 +276,7 @@ mod tests {
                 index: k as usize,
                 timestamp_ns: 7 + k * 1_000_000_000 / per_second,
                 image: Err(Unusable::Repeats),
+                depth: None,
             });
             beginning(frames).count()
         };

@@ -535,6 +535,7 @@ impl Input {
                 index,
                 timestamp_ns,
                 image,
+                depth: None,
             };
             return Box::new(self.images.items(source, colours).map(frame));
         };
@@ -542,6 +543,7 @@ impl Input {
             index: frame.index,
             timestamp_ns: frame.timestamp_ns,
             image: self.read_image(frame),
+            depth: None,
         }))
     }
 

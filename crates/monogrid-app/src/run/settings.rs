@@ -5,8 +5,8 @@ use super::sessions::{Continued, Earlier};
 use super::tracking::memory_limit::MemoryLimit;
 use super::tracking::submaps::SubmapPolicy;
 use crate::config::RunConfig;
+use crate::input::depth_images::FrameDepths;
 use crate::output::OutputFile;
-use monogrid_image::GrayImage;
 use monogrid_pipeline::Pace;
 use monogrid_slam::Purpose;
 
@@ -15,8 +15,8 @@ use monogrid_slam::Purpose;
 pub struct RunSettings {
     /// All settings.
     pub config: RunConfig,
-    /// Depth (metres) to start with, and the index of the frame it belongs to.
-    pub seed_depth: Option<(usize, GrayImage)>,
+    /// Depth images of frames; the run begins with the first that has one.
+    pub depth: Option<FrameDepths>,
     /// The map to go on with.
     pub continued: Option<Continued>,
     /// How fast frames are read.
@@ -40,7 +40,7 @@ impl RunSettings {
     pub fn new(config: RunConfig, threads: usize) -> Self {
         Self {
             config,
-            seed_depth: None,
+            depth: None,
             continued: None,
             pace: Pace::Taken,
             threads,

@@ -216,6 +216,7 @@ fn pushed_images_of_a_rolling_shutter_find_what_a_source_finds() {
             index,
             timestamp_ns,
             image,
+            depth: None,
         }
     });
     run.run(source, |_, _| ControlFlow::Continue(())).unwrap();
@@ -249,6 +250,7 @@ fn an_endless_camera_is_followed_until_its_listener_has_seen_enough() {
             index,
             timestamp_ns,
             image: Ok(image),
+            depth: None,
         });
     let (mut tracked, mut repeated) = (0_usize, 0_usize);
     pipeline

@@ -1,7 +1,7 @@
 //! Depth images seen from the colour camera.
 
 use super::DepthCalibration;
-use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2, Vec3};
+use monogrid_geometry::{Camera, Distortion, Pinhole, Se3, Vec2, Vec3};
 use monogrid_image::Image;
 use std::sync::OnceLock;
 
@@ -61,6 +61,16 @@ impl DepthRegistration {
         if depth.width() != w || depth.height() != h {
             return None;
         }
+        if self.is_registered() {
+            let known = |z: f32| {
+                if z.is_finite() && z > 0.0 {
+                    z
+                } else {
+                    f32::NAN
+                }
+            };
+            return Some(depth.map(known));
+        }
         let mut nearest = Image::filled(self.width, self.height, 0.0f32);
         let mut points = nearest.clone();
         // two rows are projected at a time: of a large image all would take ten times its memory
@@ -80,6 +90,15 @@ impl DepthRegistration {
         let depths = inv_depths.map(inv_depth);
         let depths = depths.map(|inv| if inv > 0.0 { 1.0 / inv } else { f32::NAN });
         Image::from_vec(self.width, self.height, depths.collect())
+    }
+
+    /// Whether depth images show just what the target does.
+    fn is_registered(&self) -> bool {
+        let camera = &self.calibration.camera;
+        let size = (camera.width, camera.height);
+        self.calibration.colour_from_depth == Se3::identity()
+            && camera.distortion == Distortion::None
+            && (camera.pinhole, size) == (self.target, (self.width, self.height))
     }
 
     /// Projects a row of depth pixels; NaN where there is none or it is behind the target.

@@ -177,7 +177,7 @@ impl<'a> Window<'a> {
         let mut sum: f64 = shares.each(of_share).iter().sum();
         for (point, &d) in self.problem.points.iter().zip(&state.inverse_depths) {
             if let Some(prior) = point.prior {
-                sum += ((d - prior.mean) / prior.sigma).powi(2);
+                sum += prior.kernel.cost(prior.chi2(d));
             }
         }
         0.5 * sum
@@ -219,8 +219,10 @@ impl<'a> Window<'a> {
         }
         for i in share.points.clone() {
             if let Some(prior) = self.problem.points[i].prior {
-                let weight = 1.0 / (prior.sigma * prior.sigma);
-                let difference = state.inverse_depths[i] - prior.mean;
+                let idepth = state.inverse_depths[i];
+                let robust = prior.kernel.weight(prior.chi2(idepth));
+                let weight = robust / (prior.sigma * prior.sigma);
+                let difference = idepth - prior.mean;
                 sums.add_to_point(i, weight, -weight * difference);
             }
         }

@@ -63,6 +63,15 @@ pub struct InverseDepthPrior {
     pub mean: f64,
     /// Its standard deviation.
     pub sigma: f64,
+    /// How much it may pull where it is wrong.
+    pub kernel: RobustKernel,
+}
+
+impl InverseDepthPrior {
+    /// Squared error of an inverse depth in standard deviations.
+    fn chi2(&self, inverse_depth: f64) -> f64 {
+        ((inverse_depth - self.mean) / self.sigma).powi(2)
+    }
 }
 
 /// A point, anchored in the keyframe that first saw it.

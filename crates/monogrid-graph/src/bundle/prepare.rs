@@ -104,6 +104,9 @@ fn validate_points(problem: &BundleProblem) -> Result<(), BundleError> {
             let mean = prior.mean;
             finite(|| format!("prior inverse depth of point {i}"), mean)?;
             positive(|| format!("prior sigma of point {i}"), prior.sigma)?;
+            let (threshold, is_valid) = (prior.kernel.cost(1.0), prior.kernel.is_valid());
+            let what = || format!("threshold of the prior of point {i}");
+            value(what, threshold, is_valid, "a positive threshold")?;
         }
     }
     Ok(())

@@ -211,6 +211,7 @@ fn priors_pull_where_observations_are_silent() {
     scene.problem.points[5].prior = Some(InverseDepthPrior {
         mean: 0.77,
         sigma: 0.1,
+        kernel: RobustKernel::None,
     });
     let config = BundleConfig {
         max_iterations: 50,

@@ -165,6 +165,43 @@ mod tests {
     }
 
     #[test]
+    fn what_a_depth_camera_measured_is_mapped_whatever_images_say() {
+        let places = [0.0, 0.2, -0.2];
+        let images = places.map(wall);
+        let with_sigma = |sigma: f32| {
+            let mut pixels = depths(1.0);
+            for pixel in &mut pixels {
+                pixel.idepth_var = (sigma * pixel.idepth).powi(2);
+            }
+            let keyframe = |i: usize| PosedKeyframe {
+                id: i as KeyframeId,
+                image: Some(ImageOf::Held(&images[i])),
+                depth: DepthOf::Held(&pixels),
+                world_from_keyframe: Some(Sim3::new(
+                    1.0,
+                    Rotation::identity(),
+                    Vec3::new(places[i], 0.0, 0.0),
+                )),
+            };
+            let keyframes = [0, 1, 2].map(keyframe);
+            let dense = MappingConfig {
+                quality: MapQuality::Default,
+                ..config()
+            };
+            let scans = final_scans(&keyframes, &CAMERA, &dense, 1);
+            (share_right(&scans[0], 1.0), scans[0].num_pixels)
+        };
+        // the depth is 4 % too large
+        let (of_images, _) = with_sigma(0.03);
+        let (of_depth_camera, num_pixels) = with_sigma(0.005);
+        assert!(
+            of_images > 0.5 && of_depth_camera == 0.0,
+            "{of_images} {of_depth_camera}"
+        );
+        assert!(num_pixels * 10 > CAMERA.width * CAMERA.height * 9);
+    }
+
+    #[test]
     fn dense_depth_covers_what_the_filter_does_not_have_on_any_number_of_threads() {
         let places = [0.0, 0.2, -0.2, 0.35, -0.35];
         let images = places.map(wall);

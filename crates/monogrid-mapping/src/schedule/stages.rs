@@ -1,6 +1,7 @@
 //! What happens to the depth of a keyframe, stage by stage, in this order:
 //!
-//! 1. [`Stage::Matched`]: dense depth by the images of its neighbours (`stereo`);
+//! 1. [`Stage::Matched`]: dense depth by the images of its neighbours (`stereo`); that of a depth
+//!    camera where there is one;
 //! 2. [`Stage::Found`]: what these confirm of it with the depth of the filter, or where there is
 //!    none, that of the filter made better by the images around (`stereo`); what of it is precise
 //!    enough (`sensor`), and plain surfaces between it (`planes`);
@@ -16,7 +17,7 @@
 use crate::agreement::{Certainty, fused};
 use crate::planes::{Cloud, on_planes};
 use crate::scene::{Depths, KeptDepths, Scene, View, probes};
-use crate::stereo::{confirmed, merged, refined, stereo};
+use crate::stereo::{confirmed, half_size, is_measured, merged, refined, stereo};
 use crate::{KeyframeCamera, KeyframeScan};
 use monogrid_depth::DenseDepth;
 use monogrid_geometry::Sim3;
@@ -115,11 +116,17 @@ pub(super) fn taken(
     }
 }
 
-/// Dense depth of a keyframe by its neighbours; none where there is no image, no pose or no
-/// neighbour, or where the quality asks for none.
+/// Dense depth of a keyframe as a depth camera measured it, or by its neighbours; none where there
+/// is no image, no pose or no neighbour, or where the quality asks for none.
 fn matched(scene: &Scene, index: usize) -> Option<DenseDepth> {
-    let is_dense = scene.config.quality.has_dense_depth();
-    is_dense.then(|| stereo(scene, index))?
+    if !scene.config.quality.has_dense_depth() {
+        return None;
+    }
+    let pixels = scene.keyframes[index].depth.get();
+    match is_measured(&pixels, scene.camera) {
+        true => Some(half_size(&pixels, scene.camera)),
+        false => stereo(scene, index),
+    }
 }
 
 /// The depth of a keyframe by all that itself and its neighbours tell.
@@ -128,9 +135,12 @@ fn found(scene: &Scene, index: usize, before: &Before, store: &Store) -> Found {
     let keyframe = &scene.keyframes[index];
     let pixels = keyframe.depth.get();
     let dense = |other: usize| -> Option<Arc<DenseDepth>> { before[other]?.dense.as_ref()?.get() };
-    let pixels = match confirmed(scene, index, dense) {
-        Some(dense) => Cow::Owned(merged(&pixels, &dense, camera)),
-        None => refined(scene, index, pixels),
+    let pixels = if is_measured(&pixels, camera) {
+        pixels
+    } else if let Some(dense) = confirmed(scene, index, dense) {
+        Cow::Owned(merged(&pixels, &dense, camera))
+    } else {
+        refined(scene, index, pixels)
     };
     let limit = MAX_STATED_SIGMA.max(config.filter.max_relative_sigma);
     let image = keyframe.image();

@@ -3,6 +3,6 @@
 mod dense;
 mod refine;
 
-pub(crate) use dense::{confirmed, merged, stereo};
+pub(crate) use dense::{confirmed, half_size, is_measured, merged, stereo};
 pub(crate) use refine::refined;
 pub use refine::refined_depths;

@@ -153,6 +153,22 @@ impl Map {
         self.scale
     }
 
+    /// Whether the unit of a fragment's world is the metre, as a depth camera measured it.
+    pub(crate) fn is_metric(&self, fragment: FragmentId) -> bool {
+        if fragment == MAIN_MAP {
+            return self.scale == Scale::Metric;
+        }
+        let first = self.in_fragment(fragment).next();
+        first.is_some_and(|keyframe| keyframe.measured.is_some())
+    }
+
+    /// The unit of a keyframe in metres, where the world of its fragment is in metres.
+    pub(crate) fn metres(&self, id: KeyframeId) -> Option<f64> {
+        let keyframe = &self[id];
+        let is_metric = self.is_metric(keyframe.fragment);
+        is_metric.then_some(keyframe.world_from_keyframe.scale)
+    }
+
     pub(crate) fn snapshot(&self) -> &Arc<PoseSnapshot> {
         &self.snapshot
     }

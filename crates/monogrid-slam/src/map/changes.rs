@@ -9,7 +9,7 @@ use crate::store::Kept;
 use crate::stored::StoredEdge;
 use crate::view::{Exposure, KeyframeImage, View};
 use crate::{Bridge, Fragment, FragmentId, Join, KeptKeyframe, KeyframeId, MAIN_MAP, Scale};
-use monogrid_depth::PackedDepth;
+use monogrid_depth::{MeasuredDepth, PackedDepth};
 use monogrid_geometry::Sim3;
 use std::sync::Arc;
 
@@ -24,6 +24,8 @@ pub(crate) struct NewKeyframe {
     pub exposure: Exposure,
     /// In the world of its fragment.
     pub world_from_keyframe: Sim3,
+    /// What a depth camera measured with its frame; only in a fragment in metres.
+    pub measured: Option<Kept<MeasuredDepth>>,
 }
 
 /// A keyframe as tracking has left it.
@@ -136,6 +138,7 @@ impl Map {
             world_from_keyframe: new.world_from_keyframe,
             camera_from_world: new.world_from_keyframe.to_se3().inverse(),
             covariance: None,
+            measured: new.measured,
             depth: None,
             published: None,
             view: None,
@@ -204,6 +207,18 @@ impl Map {
         if let Some(keyframe) = self.keyframes.last_mut() {
             keyframe.points.anchored = first..self.points.len();
         }
+    }
+
+    /// A depth camera measured what a keyframe sees, and so the points that are anchored in it.
+    pub(crate) fn measure(&mut self, id: KeyframeId, measured: &MeasuredDepth) {
+        let kept = self.store().keep(measured.clone());
+        let keyframe = &mut self.keyframes[id as usize];
+        for point in &mut self.points[keyframe.points.anchored.clone()] {
+            if let Some((idepth, sigma)) = measured.near(point.pixel.x, point.pixel.y) {
+                point.measure(f64::from(idepth), f64::from(sigma));
+            }
+        }
+        keyframe.measured = Some(kept);
     }
 
     /// Keyframes see these points, by index, too.
@@ -287,12 +302,19 @@ impl Map {
 
     /// Moves a keyframe, and with it the points that are anchored in it.
     fn carry(&mut self, index: usize, pose: &Sim3) {
+        let is_metric = self.scale == Scale::Metric;
         let Some(keyframe) = self.keyframes.get_mut(index) else {
             return;
         };
-        let growth = pose.scale / keyframe.world_from_keyframe.scale;
+        let before = keyframe.world_from_keyframe.scale;
+        let mut pose = *pose;
+        if is_metric && keyframe.measured.is_some() {
+            // a depth camera measured it: constraints say where it is, and not how large
+            pose.scale = before;
+        }
+        let growth = pose.scale / before;
         keyframe.camera_from_world = pose.to_se3().inverse();
-        keyframe.world_from_keyframe = *pose;
+        keyframe.world_from_keyframe = pose;
         if growth != 1.0 {
             for point in &mut self.points[keyframe.points.anchored.clone()] {
                 point.grow(growth);

@@ -4,7 +4,7 @@ use super::points::SeenPoints;
 use crate::store::Kept;
 use crate::view::{Exposure, KeyframeImage, View};
 use crate::{FragmentId, KeptKeyframe, KeyframeId};
-use monogrid_depth::PackedDepth;
+use monogrid_depth::{MeasuredDepth, PackedDepth};
 use monogrid_geometry::{Mat7, Se3, Sim3};
 use monogrid_image::Pyramid;
 use std::sync::Arc;
@@ -30,6 +30,8 @@ pub(crate) struct MapKeyframe {
     pub camera_from_world: Se3,
     /// Covariance of `parent_from_keyframe`, as the graph has it.
     pub covariance: Option<Mat7>,
+    /// What a depth camera measured of what it sees; only in a fragment in metres.
+    pub measured: Option<Kept<MeasuredDepth>>,
     /// Its depth as it was left, once it is out of use.
     pub depth: Option<Kept<PackedDepth>>,
     /// As everybody else has it, once it is finished.
@@ -80,6 +82,7 @@ mod tests {
             world_from_keyframe,
             camera_from_world: world_from_keyframe.to_se3().inverse(),
             covariance: None,
+            measured: None,
             depth: None,
             published: None,
             view: None,

@@ -26,6 +26,8 @@ pub(crate) struct SparsePoint {
     pub prior_idepth: f64,
     /// See [`Self::prior_idepth`].
     pub prior_sigma: f64,
+    /// Whether a depth camera measured that inverse depth, in 1/m.
+    pub is_measured: bool,
     /// Keyframes other than the host that see it.
     pub observations: Vec<Observation>,
     /// Pixel of the finest level on which its patch stands out of the noise, level-0 px: how
@@ -56,8 +58,21 @@ impl SparsePoint {
     /// Lengths in its host grow by a factor.
     pub(super) fn grow(&mut self, factor: f64) {
         self.idepth /= factor;
-        self.prior_idepth /= factor;
-        self.prior_sigma /= factor;
+        // metres stay metres
+        if !self.is_measured {
+            self.prior_idepth /= factor;
+            self.prior_sigma /= factor;
+        }
+    }
+
+    /// A depth camera measured its inverse depth, 1/m.
+    pub(super) fn measure(&mut self, idepth: f64, sigma: f64) {
+        if self.observations.is_empty() {
+            self.idepth = idepth;
+        }
+        self.prior_idepth = idepth;
+        self.prior_sigma = sigma;
+        self.is_measured = true;
     }
 
     /// Whether its depth is more than a guess: known when it was anchored, or seen from elsewhere.

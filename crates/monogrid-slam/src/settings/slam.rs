@@ -23,9 +23,6 @@ pub const SLAM: Settings<SlamConfig> = settings! { slam: SlamConfig, OLD,
         "A two-view start is accepted when the median standard deviation of its depth is at most \
          this.",
         "Raise it where the parallax is small for long.";
-    slam.initialization.seed_relative_sigma => "share of the inverse depth", [(0.0001, 1.0)],
-        "Standard deviation of a given depth of the first frame.",
-        "Set it to the noise of the depth camera.";
     slam.tracking.alignment.brightness => "", [],
         "Whether frames may differ in gain and offset (`affine`) or not (`constant`).",
         "Use `constant` for cameras with fixed exposure.";
@@ -55,6 +52,10 @@ pub const SLAM: Settings<SlamConfig> = settings! { slam: SlamConfig, OLD,
     slam.depth.sensor_sigma => "grey levels", [(0.1, 50.0)],
         "Image noise of the depth filter. Where the noise is estimated, this is the first value.",
         "Set it to the noise of the camera.";
+    slam.depth_camera.sigma => "metres at 1 metre", [(0.00001, 1.0)],
+        "Standard deviation of the depth that a depth camera measured. It grows with the square of \
+         the depth.",
+        "Set it to the noise of the depth camera.";
     slam.publication.min_validity => "", [(0.0, 255.0)],
         "Depth needs this much confirmation by later frames to be published. Each confirmation \
          adds 5.",
@@ -178,7 +179,7 @@ const OLD: &[(&str, &str)] = &[
     ),
     (
         "slam.initialization",
-        "min_displacement patient_frames reference_displacement sigma_px",
+        "min_displacement patient_frames reference_displacement seed_relative_sigma sigma_px",
     ),
     (
         "slam.keyframes",

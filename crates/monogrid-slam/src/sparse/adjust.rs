@@ -3,7 +3,7 @@
 use super::looks::Looks;
 use super::{LeftLens, SparseConfig};
 use crate::map::{Adjustment, Map, MapKeyframe};
-use crate::{FragmentId, KeyframeId, Scale};
+use crate::{FragmentId, KeyframeId};
 use monogrid_geometry::Pinhole;
 use monogrid_graph::RobustKernel;
 use monogrid_graph::bundle::{
@@ -18,6 +18,10 @@ const SIGMA_PX: f64 = 0.6;
 const WINDOW_COVISIBLE: usize = 8;
 /// Shared points from which an older keyframe counts as covisible.
 const MIN_SHARED_POINTS: usize = 15;
+/// Points with a measured depth from which these hold the scale.
+const MIN_MEASURED_POINTS: usize = 15;
+/// A measured depth: some are of another surface than their point, of a reflection, or of glass.
+const RANGE_KERNEL: RobustKernel = RobustKernel::Huber { delta: 2.0 };
 /// Iterations of the adjustment.
 const MAX_ITERATIONS: usize = 8;
 /// Squared normalised residual above which an observation is removed after the adjustment.
@@ -32,17 +36,18 @@ const IMAGE_ITERATIONS: usize = 5;
 struct Gauge {
     /// The keyframe that is the world.
     origin: KeyframeId,
-    /// Whether the inverse depths of its points are metric measurements.
-    is_metric: bool,
+    /// Whether enough depths were measured to hold the scale.
+    is_measured: bool,
 }
 
 impl Gauge {
-    fn of_fragment(map: &Map, fragment: FragmentId) -> Self {
+    /// Of a fragment, by the points that are adjusted.
+    fn new(map: &Map, fragment: FragmentId, points: &[AnchoredPoint]) -> Self {
         let first = map.in_fragment(fragment).next();
-        let origin = first.map_or(0, |keyframe| keyframe.id);
+        let measured = points.iter().filter(|point| point.prior.is_some());
         Self {
-            origin,
-            is_metric: map.scale() == Scale::Metric && origin == 0,
+            origin: first.map_or(0, |keyframe| keyframe.id),
+            is_measured: measured.count() >= MIN_MEASURED_POINTS,
         }
     }
 }
@@ -127,8 +132,7 @@ fn adjust_by(
 ) -> Adjustment {
     // A keyframe that sees too little keeps the pose that tracking gave it.
     free.retain(|id| num_shared_points(map, *id) >= MIN_SHARED_POINTS);
-    let gauge = Gauge::of_fragment(map, fragment);
-    let Some(problem) = Problem::build(map, &free, gauge, lens) else {
+    let Some(problem) = Problem::build(map, fragment, &free, lens) else {
         return Adjustment::default();
     };
     match solve(&problem) {
@@ -178,7 +182,12 @@ struct Problem {
 
 impl Problem {
     /// All points that a free keyframe sees; other keyframes that see them are held fixed.
-    fn build(map: &Map, free: &[KeyframeId], gauge: Gauge, lens: &LeftLens) -> Option<Self> {
+    fn build(
+        map: &Map,
+        fragment: FragmentId,
+        free: &[KeyframeId],
+        lens: &LeftLens,
+    ) -> Option<Self> {
         let is_free = |id: KeyframeId| free.binary_search(&id).is_ok();
         let seen: BTreeSet<usize> = free.iter().flat_map(|id| map[*id].points.all()).collect();
         let seen = seen.into_iter();
@@ -191,9 +200,10 @@ impl Problem {
         }
         let keyframes = Vec::from_iter(keyframes);
         let slot_of = |id: KeyframeId| keyframes.partition_point(|other| *other < id);
+        let is_metric = map.is_metric(fragment);
         let mut bundle = BundleProblem {
             pinhole: lens.pinhole,
-            keyframes: freedoms(map, &keyframes, &is_free, gauge),
+            keyframes: Vec::new(),
             points: Vec::with_capacity(points.len()),
             observations: Vec::new(),
         };
@@ -203,12 +213,11 @@ impl Problem {
                 host: slot_of(point.host),
                 pixel: lens.ideal(point.pixel),
                 inverse_depth: point.idepth,
-                prior: (gauge.is_metric && point.host == gauge.origin).then_some(
-                    InverseDepthPrior {
-                        mean: point.prior_idepth,
-                        sigma: point.prior_sigma,
-                    },
-                ),
+                prior: (is_metric && point.is_measured).then_some(InverseDepthPrior {
+                    mean: point.prior_idepth,
+                    sigma: point.prior_sigma,
+                    kernel: RANGE_KERNEL,
+                }),
             });
             for observation in &point.observations {
                 bundle.observations.push(Observation {
@@ -219,6 +228,8 @@ impl Problem {
                 });
             }
         }
+        let gauge = Gauge::new(map, fragment, &bundle.points);
+        bundle.keyframes = freedoms(map, &keyframes, &is_free, gauge);
         (!bundle.observations.is_empty()).then_some(Self {
             bundle,
             keyframes,
@@ -273,7 +284,7 @@ fn freedoms(
     let fixed: Vec<usize> = (0..out.len())
         .filter(|&i| out[i].freedom == PoseFreedom::Fixed)
         .collect();
-    if let ([anchor], false) = (fixed.as_slice(), gauge.is_metric && !floats) {
+    if let ([anchor], false) = (fixed.as_slice(), gauge.is_measured && !floats) {
         let centre = |k: &BundleKeyframe| k.camera_from_world.inverse().translation;
         let origin = centre(&out[*anchor]);
         let farthest = (0..out.len())

@@ -3,6 +3,7 @@
 use super::SparseConfig;
 use super::matching::{find_in_older, nearby_idepth};
 use crate::map::{Map, MapKeyframe, SparsePoint};
+use crate::store::Kept;
 use monogrid_depth::DepthMap;
 use monogrid_features::{CornerConfig, PatchSearchConfig, detect_corners, patch_level};
 use monogrid_geometry::{Mat3, Pinhole, Vec2, Vec3};
@@ -14,9 +15,10 @@ const DROP_AFTER_KEYFRAMES: u32 = 3;
 /// of a plain wall stand out of the noise there, and hold the scale where nothing else does.
 const NUM_COARSER: usize = 2;
 
-/// New corners of the newest keyframe where it sees few points, with depth from the dense map (its
-/// units) at or around them or that of a surface that goes on, and where the keyframes used last
-/// see them. `seen` are the pixels of the points that it sees already.
+/// New corners of the newest keyframe where it sees few points, with the depth that a depth camera
+/// measured there, or from the dense map (its units) at or around them or that of a surface that
+/// goes on, and where the keyframes used last see them. `seen` are the pixels of the points that
+/// it sees already.
 pub(crate) fn anchor(
     map: &Map,
     depth: &DepthMap,
@@ -53,9 +55,18 @@ fn corners(
     };
     let corners = detect_corners(&pyramid, Some(mask), seen, &settings);
     let unit = newest.world_from_keyframe.scale;
+    let measured = newest.measured.as_ref().and_then(Kept::get);
+    let measured: Vec<Option<(f64, f64)>> = corners
+        .iter()
+        .map(|corner| {
+            let (idepth, sigma) = measured.as_ref()?.near(corner.pixel.x, corner.pixel.y)?;
+            Some((f64::from(idepth) * unit, f64::from(sigma) * unit))
+        })
+        .collect();
     let nearby: Vec<Option<(f64, f64)>> = corners
         .iter()
-        .map(|corner| nearby_idepth(depth, &corner.pixel))
+        .zip(&measured)
+        .map(|(corner, measured)| measured.or_else(|| nearby_idepth(depth, &corner.pixel)))
         .collect();
     let known = corners.iter().zip(&nearby);
     let known: Vec<(Vec2, f64)> = known
@@ -63,8 +74,8 @@ fn corners(
         .collect();
     corners
         .iter()
-        .zip(&nearby)
-        .filter_map(|(corner, nearby)| {
+        .zip(nearby.iter().zip(&measured))
+        .filter_map(|(corner, (nearby, measured))| {
             let (idepth, sigma) = nearby.or_else(|| continued_idepth(&known, &corner.pixel))?;
             Some(SparsePoint {
                 host: newest.id,
@@ -72,6 +83,7 @@ fn corners(
                 idepth: idepth / unit,
                 prior_idepth: idepth / unit,
                 prior_sigma: sigma / unit,
+                is_measured: measured.is_some(),
                 pixel_size: pixel_size(&pyramid, &corner.pixel),
                 observations: Vec::new(),
                 alive: true,
@@ -186,6 +198,7 @@ mod tests {
             idepth,
             prior_idepth: idepth,
             prior_sigma: sigma,
+            is_measured: false,
             pixel_size: 1.0,
             observations: Vec::new(),
             alive: true,

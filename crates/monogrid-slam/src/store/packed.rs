@@ -1,7 +1,7 @@
 //! Values as they are written to the file.
 
 use super::Kept;
-use monogrid_depth::{DenseDepth, PackedDepth};
+use monogrid_depth::{DenseDepth, MeasuredDepth, PackedDepth};
 use monogrid_features::{KeptCorners, PlaceCorners};
 use monogrid_image::{DepthPixel, Image, Pyramid};
 use std::any::Any;
@@ -79,6 +79,34 @@ impl Keepable for Vec<DepthPixel> {
 impl Measured for Vec<DepthPixel> {
     fn bytes(&self) -> usize {
         self.capacity() * size_of::<DepthPixel>()
+    }
+}
+
+impl Keepable for MeasuredDepth {
+    fn pack(&self) -> Vec<u8> {
+        let (width, _) = self.size();
+        let numbers = [self.sigma()].into_iter();
+        let numbers = numbers.chain(self.idepth().as_slice().iter().copied());
+        let numbers = numbers.flat_map(f32::to_le_bytes);
+        let width = (width as u64).to_le_bytes();
+        width.into_iter().chain(numbers).collect()
+    }
+
+    fn unpack(bytes: &[u8]) -> Option<Self> {
+        let (width, values) = bytes.split_first_chunk()?;
+        let width = u64::from_le_bytes(*width) as usize;
+        let (sigma, values) = values.split_first_chunk()?;
+        let values = values.as_chunks().0.iter();
+        let idepth: Vec<f32> = values.map(|bytes| f32::from_le_bytes(*bytes)).collect();
+        let height = idepth.len().checked_div(width)?;
+        let idepth = Image::from_vec(width, height, idepth)?;
+        Some(Self::of_inverse(idepth, f32::from_le_bytes(*sigma)))
+    }
+}
+
+impl Measured for MeasuredDepth {
+    fn bytes(&self) -> usize {
+        size_of_val(self.idepth().as_slice())
     }
 }
 

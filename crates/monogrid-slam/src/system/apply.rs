@@ -59,6 +59,9 @@ impl Slam {
         what: Use,
         report: &mut FrameReport,
     ) {
+        if matches!(what, Use::RefineDepth | Use::PassOver) {
+            self.take_measured(frame, &alignment.motion);
+        }
         match what {
             Use::RefineDepth => self.refine(frame, alignment),
             Use::ChangeKeyframe => {
@@ -102,6 +105,27 @@ impl Slam {
             let place = alignment.motion.frame_from_keyframe.inverse().translation;
             self.policy.refined(Some(place));
         }
+    }
+
+    /// What a depth camera measured with the frame is taken by the keyframe in use, if that has
+    /// nothing measured: depth images may come at another rate than frames.
+    fn take_measured(&mut self, frame: &Frame, motion: &Motion) {
+        let active = self.tracker.active.as_ref().map(|active| active.id);
+        let (Some(id), Some(measured)) = (active, &frame.measured) else {
+            return;
+        };
+        let Some(metres) = self.map.metres(id) else {
+            return;
+        };
+        if self.setup.is_frozen || self.map[id].measured.is_some() {
+            return;
+        }
+        let keyframe_from_frame = motion.frame_from_keyframe.inverse().stretched(metres);
+        let seen = measured.seen_from(&keyframe_from_frame, &self.setup.pinhole);
+        if let Some(samples) = self.depth.take_measured(&self.setup, (&seen, metres)) {
+            self.tracker.follow_depth(&self.setup, &samples);
+        }
+        self.map.measure(id, &seen);
     }
 
     /// Goes on with another keyframe: one that shows the same, or the frame itself.
@@ -402,11 +426,17 @@ impl Slam {
     fn begin_at(&mut self, landing: &Landing, started: Started, report: &mut FrameReport) {
         let id = self.map.next_id();
         let parent = &self.map[landing.parent];
-        let first = NewKeyframe {
+        let mut first = NewKeyframe {
             parent: Some(parent.id),
             world_from_keyframe: parent.world_from_keyframe * landing.parent_from_start,
             ..first_keyframe(self.map.store(), parent.fragment, &started)
         };
+        if !self.map.is_metric(parent.fragment) {
+            first.measured = None;
+        } else if first.measured.is_some() {
+            // both are in metres
+            first.world_from_keyframe.scale = started.world_scale;
+        }
         self.map.bridge(landing.bridge(id, started.keyframe.index));
         self.begin_with(first, landing.link(id), started, report);
     }

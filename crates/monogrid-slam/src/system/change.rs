@@ -48,7 +48,7 @@ impl NextKeyframe {
             return Self::NoBetter;
         }
         let (next, finished) = rayon::join(
-            || successor(setup, in_use.depth, frame, motion),
+            || successor(setup, (in_use.depth, map.metres(id)), frame, motion),
             || finish_keyframe(setup, map, id, in_use.depth),
         );
         next.map_or(Self::None, |next| Self::Frame(Box::new((next, finished))))
@@ -92,6 +92,7 @@ pub(super) fn keyframe_of(
         image: KeyframeImage::new(map.store(), frame.image()),
         exposure: older.exposure.then(motion.log_gain.exp(), motion.bias),
         world_from_keyframe: older.world_from_keyframe * parent_from_keyframe(motion, unit),
+        measured: frame.measured_for(map, older.fragment),
     }
 }
 

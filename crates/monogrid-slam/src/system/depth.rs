@@ -9,7 +9,7 @@ use crate::map::{Map, MapKeyframe};
 use crate::setup::Setup;
 use crate::{Keyframe, KeyframeId};
 use monogrid_alignment::{Alignment, DepthPixel, Motion};
-use monogrid_depth::{DepthMap, MATURE_VALIDITY, PackedDepth, StereoFrame};
+use monogrid_depth::{DepthMap, MATURE_VALIDITY, MeasuredDepth, PackedDepth, StereoFrame};
 use monogrid_geometry::{Mat6, Se3};
 use monogrid_image::{GrayImage, Pyramid};
 use std::sync::Arc;
@@ -78,6 +78,19 @@ impl DepthStage {
         Some(tracking_samples(depth, &setup.config.tracking))
     }
 
+    /// Takes what a depth camera measured of what the keyframe sees, whose unit is so many metres.
+    /// The points that frames are tracked on then; `None` without a keyframe.
+    pub(super) fn take_measured(
+        &mut self,
+        setup: &Setup,
+        (measured, metres): (&MeasuredDepth, f64),
+    ) -> Option<Vec<DepthPixel>> {
+        let depth = self.depth.as_mut()?;
+        depth.fuse_measured(measured, metres as f32);
+        regularize(depth, &setup.config.depth);
+        Some(tracking_samples(depth, &setup.config.tracking))
+    }
+
     #[cfg(test)]
     pub(super) fn num_refined(&self) -> u32 {
         self.num_refined
@@ -124,17 +137,21 @@ pub(super) fn observe_old_keyframes(
     depth
 }
 
-/// Depth of a keyframe carried over to `frame`, in a unit that makes its median 1, and that unit in
-/// the keyframe's units; `None` when nothing arrives there.
+/// Depth of a keyframe carried over to `frame`, with what a depth camera measured there, in a unit
+/// that makes its median 1, and that unit in the keyframe's units; `None` when there is none. The
+/// depth is given with its unit in metres, where that is known.
 pub(super) fn successor(
     setup: &Setup,
-    depth: &DepthMap,
+    (depth, metres): (&DepthMap, Option<f64>),
     frame: &Frame,
     motion: &Motion,
 ) -> Option<Successor> {
     let config = &setup.config.depth;
     let next = || Some(DepthMap::empty(setup.host(frame.image().clone())?, config));
     let mut depth = propagate(depth, next, &motion.frame_from_keyframe, config)?;
+    if let (Some(measured), Some(metres)) = (&frame.measured, metres) {
+        depth.fuse_measured(measured, metres as f32);
+    }
     let median_idepth = depth.median_idepth();
     let median_idepth = median_idepth.filter(|m| m.is_finite() && *m > 0.0)?;
     depth.rescale(1.0 / median_idepth);

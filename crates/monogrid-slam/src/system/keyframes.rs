@@ -9,12 +9,15 @@ use crate::policy::{KeyframeEvidence, is_new_keyframe, is_refining};
 use crate::setup::Setup;
 use crate::sparse::dense_links;
 use crate::start::Started;
-use crate::store::Store;
+use crate::store::{Kept, Store};
 use crate::tracker::{Support, Tracked};
 use crate::view::{Exposure, KeyframeImage, View};
-use crate::{DepthPixel, FragmentId, KeptKeyframe, KeyframeConfig, KeyframeId, TrackingState};
-use monogrid_depth::{DepthMap, PixelFilter};
+use crate::{
+    DepthPixel, FragmentId, KeptKeyframe, KeyframeConfig, KeyframeId, Scale, TrackingState,
+};
+use monogrid_depth::{DepthMap, MeasuredDepth, PixelFilter};
 use monogrid_geometry::{Rotation, Sim3, Vec3};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// What a frame with a pose is used for.
@@ -171,14 +174,24 @@ fn publish(
         smoothed: publication.smoothed,
         ..PixelFilter::default()
     };
+    let measured = keyframe.measured.as_ref().and_then(Kept::get);
+    // what all depth of images shares, a depth camera does not
+    let shared = match &measured {
+        Some(_) => 0.0,
+        None => publication.relative_sigma,
+    };
     let mut pixels: Vec<DepthPixel> = depth
         .pixels(filter)
         .map(|p| DepthPixel {
             idepth_var: p.idepth_var * publication.sigma_factor.powi(2)
-                + (publication.relative_sigma * p.idepth).powi(2),
+                + (shared * p.idepth).powi(2),
             ..p
         })
         .collect();
+    if let Some(measured) = measured {
+        let unit = keyframe.world_from_keyframe.scale as f32;
+        add_measured(&mut pixels, measured.pixels(unit));
+    }
     pixels.shrink_to_fit();
     let revision = match &keyframe.published {
         Some(known) => {
@@ -199,6 +212,14 @@ fn publish(
     })
 }
 
+/// Adds what a depth camera measured to depth that is published, row-major, where that has none.
+fn add_measured(pixels: &mut Vec<DepthPixel>, measured: impl Iterator<Item = DepthPixel>) {
+    let place = |pixel: &DepthPixel| (pixel.y, pixel.x);
+    let known: BTreeSet<(u16, u16)> = pixels.iter().map(place).collect();
+    pixels.extend(measured.filter(|pixel| !known.contains(&place(pixel))));
+    pixels.sort_unstable_by_key(place);
+}
+
 /// The first keyframe of a fragment, which is its world.
 pub(super) fn first_keyframe(
     store: &Store,
@@ -206,6 +227,8 @@ pub(super) fn first_keyframe(
     started: &Started,
 ) -> NewKeyframe {
     let frame = &started.keyframe;
+    let measured = frame.measured.as_ref();
+    let measured = measured.filter(|_| started.scale == Scale::Metric);
     NewKeyframe {
         fragment,
         parent: None,
@@ -214,6 +237,7 @@ pub(super) fn first_keyframe(
         image: KeyframeImage::new(store, frame.image()),
         exposure: Exposure::NEUTRAL,
         world_from_keyframe: Sim3::new(started.world_scale, Rotation::identity(), Vec3::zeros()),
+        measured: measured.map(|measured| store.keep(MeasuredDepth::clone(measured))),
     }
 }
 

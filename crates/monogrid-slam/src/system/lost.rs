@@ -182,7 +182,7 @@ impl Loss {
         let seed = setup.seed.wrapping_add(u64::from(map.next_fragment()));
         let start = self.start.take();
         let mut start = start.unwrap_or_else(|| Start::new(&setup.config, seed));
-        self.started = start.add_frame(frame, None, setup).ok();
+        self.started = start.add_frame(frame, setup).ok();
         if self.started.is_none() {
             self.start = Some(start);
         }

@@ -13,7 +13,6 @@ use crate::map::Event;
 use crate::report::Stopwatch;
 use crate::start::Start;
 use crate::{FragmentId, FrameInput, FrameReport, KeyframeId, LostReason, TrackingState};
-use monogrid_image::GrayImage;
 
 /// Hears where a frame is, and says what it is used for.
 pub type Told<'a> = dyn FnMut(&FrameReport) -> Effort + Send + 'a;
@@ -100,15 +99,14 @@ impl Slam {
         }
     }
 
-    fn process(&mut self, mut input: FrameInput, told: &mut Told<'_>) -> FrameReport {
+    fn process(&mut self, input: FrameInput, told: &mut Told<'_>) -> FrameReport {
         if let Some(repeated) = self.repeat(&input) {
             return repeated;
         }
-        let seed_depth = input.seed_depth.take();
         let frame = self.setup.frame(input);
         self.stopwatch.lap(|times| &mut times.tracking);
         let report = match self.start.take() {
-            Some(start) => self.start(start, frame, seed_depth.as_ref()),
+            Some(start) => self.start(start, frame),
             None => self.track(frame, Some(told)),
         };
         self.catch_up(report)
@@ -134,15 +132,10 @@ impl Slam {
     }
 
     /// One frame before there is a map.
-    fn start(
-        &mut self,
-        mut start: Start,
-        frame: Frame,
-        seed_depth: Option<&GrayImage>,
-    ) -> FrameReport {
+    fn start(&mut self, mut start: Start, frame: Frame) -> FrameReport {
         let (index, timestamp_ns) = (frame.index, frame.timestamp_ns);
         let mut report = FrameReport::new(index, timestamp_ns, TrackingState::Initialising);
-        let outcome = start.add_frame(frame, seed_depth, &self.setup);
+        let outcome = start.add_frame(frame, &self.setup);
         self.stopwatch.lap(|times| &mut times.tracking);
         match outcome {
             Err(reason) => {
@@ -263,7 +256,7 @@ mod tests {
             index: k,
             timestamp_ns: (k * step) as i64 * 33_333_333,
             image: sequence.frame(step * k).unwrap().image,
-            seed_depth: sequence.depth(k).filter(|_| k == 0),
+            depth: sequence.depth(k).filter(|_| k == 0),
         }
     }
 

@@ -86,7 +86,8 @@ fn resume_at(
     // as it was when the keyframe was finished
     let image = view.image.pyramid()?.level(0).clone();
     let depth = sampled_depth(setup, image, &view.samples.get()?)?;
-    successor(setup, &depth, frame, &tracked.alignment.motion).map(Resume::New)
+    let known = (&depth, map.metres(view.id));
+    successor(setup, known, frame, &tracked.alignment.motion).map(Resume::New)
 }
 
 fn is_same_view(setup: &Setup, rank: u32, alignment: &Alignment) -> bool {

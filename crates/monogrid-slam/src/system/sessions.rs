@@ -17,7 +17,7 @@ use crate::stored::{
     ContinueError, StoredEdge, StoredKeyframe, StoredLink, StoredMap, StoredPoint,
 };
 use crate::view::{Exposure, View};
-use crate::{FragmentId, KeptKeyframe, KeyframeId};
+use crate::{FragmentId, KeptKeyframe, KeyframeId, Scale};
 use monogrid_geometry::{Pinhole, Vec2};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -132,6 +132,8 @@ fn restored_points(map: &StoredMap) -> Vec<SparsePoint> {
             idepth: point.idepth,
             prior_idepth: point.prior[0],
             prior_sigma: point.prior[1],
+            // what a start in metres had
+            is_measured: map.scale == Scale::Metric && point.host == 0,
             pixel_size: 1.0,
             observations: point.observations.iter().map(seen).collect(),
             alive: true,
@@ -190,6 +192,7 @@ fn restored_keyframe(
         world_from_keyframe: stored.world_from_keyframe,
         camera_from_world: stored.world_from_keyframe.to_se3().inverse(),
         covariance: None,
+        measured: None,
         depth: Some(store.keep(depth.packed())),
         view: Some(Arc::new(View {
             id,

@@ -217,6 +217,15 @@ impl Slam {
         self.map.num_published()
     }
 
+    /// The number of keyframes of which a depth camera measured the depth.
+    #[must_use]
+    pub fn num_measured_keyframes(&self) -> usize {
+        let keyframes = self.map.keyframes().iter();
+        keyframes
+            .filter(|keyframe| keyframe.measured.is_some())
+            .count()
+    }
+
     /// Lets images and depth of keyframes for which there is no room in memory
     /// ([`crate::MemoryConfig`]) lie in a file, which nobody else may use; without one all of them
     /// stay in memory. Its bytes mean nothing to anybody else.

@@ -27,7 +27,7 @@ fn states(images: &[GrayImage], max_buffered_frames: usize) -> Vec<State> {
             index,
             timestamp_ns: index as i64,
             image: image.clone(),
-            seed_depth: None,
+            depth: None,
         };
         let outcome = start.add_frame(setup.frame(input), &setup);
         assert!(outcome.is_err());
@@ -86,7 +86,7 @@ fn frame(image: GrayImage) -> Frame {
         index: 0,
         timestamp_ns: 0,
         image,
-        seed_depth: None,
+        depth: None,
     })
 }
 

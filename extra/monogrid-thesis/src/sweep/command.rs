@@ -13,7 +13,7 @@ use clap::{Args, ValueEnum};
 use monogrid_app::args::{JsonArg, Profile, SourceArgs, positive};
 use monogrid_app::config::RunConfig;
 use monogrid_app::input::Input;
-use monogrid_app::input::depth_images::dataset_seed_depth;
+use monogrid_app::input::depth_images::FrameDepths;
 use monogrid_app::output::{Inputs, OutputFolder};
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
 use monogrid_app::process::progress::Progress;
@@ -250,7 +250,7 @@ impl Sweep<'_> {
         let profile = Profile::from_str(&named.recorded.session.profile, false).unwrap_or_default();
         let input = Input::open(source, &input_args, RunConfig::of(profile).working_size())?;
         let job = RateJob {
-            seed_depth: dataset_seed_depth(&input, None)?,
+            depth: FrameDepths::of_dataset(&input, None, 1)?,
             input: &input,
             profile,
             threads,

@@ -4,11 +4,11 @@ use super::plan::{Entry, usual_models};
 use monogrid_app::args::Profile;
 use monogrid_app::config::RunConfig;
 use monogrid_app::input::Input;
+use monogrid_app::input::depth_images::FrameDepths;
 use monogrid_app::output::{Inputs, OutputFolder};
 use monogrid_app::process::failure::Failure;
 use monogrid_app::run::RunSettings;
 use monogrid_app::run::tracking::threads::track;
-use monogrid_image::GrayImage;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::time::Instant;
@@ -30,7 +30,7 @@ pub struct RateJob<'a> {
     /// The frames.
     pub input: &'a Input,
     /// Metric depth to start with.
-    pub seed_depth: Option<(usize, GrayImage)>,
+    pub depth: Option<FrameDepths>,
     /// Rules of SLAM.
     pub profile: Profile,
     /// Threads.
@@ -81,7 +81,7 @@ fn run_once(job: &RateJob, entry: Entry) -> Result<Rate, Failure> {
         ..RunConfig::of(job.profile)
     };
     let settings = RunSettings {
-        seed_depth: job.seed_depth.clone(),
+        depth: job.depth.clone(),
         ..RunSettings::new(config, job.threads)
     };
     let begin = Instant::now();

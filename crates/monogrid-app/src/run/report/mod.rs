@@ -138,7 +138,7 @@ fn facts(input: &ReportInput) -> Vec<(String, String)> {
         ("Keyframes", summary.keyframes.to_string()),
         ("Times lost", summary.lost_episodes.to_string()),
         ("Speed", speed),
-        ("Scale", summary.scale.to_owned()),
+        ("Scale", scale(summary)),
         ("Frame of the results", input.frame.description.clone()),
         ("Map", map),
         ("Path", format!("{length} {unit}")),
@@ -147,6 +147,18 @@ fn facts(input: &ReportInput) -> Vec<(String, String)> {
     facts
         .map(|(name, value)| (name.to_owned(), value))
         .collect()
+}
+
+/// What the unit of length is, and who says so.
+fn scale(summary: &Summary) -> String {
+    let (measured, all) = (summary.measured_keyframes, summary.keyframes);
+    match measured {
+        0 => summary.scale.to_owned(),
+        _ => format!(
+            "{}: a depth camera measured {measured} of {all} keyframes",
+            summary.scale
+        ),
+    }
 }
 
 /// What is known from a truth.

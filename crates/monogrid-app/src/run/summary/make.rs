@@ -40,6 +40,7 @@ impl Summary {
             rolling_shutter_ms: tracked.readout_ms,
             lost_episodes: slam.counts().lost_episodes,
             keyframes: slam.num_keyframes(),
+            measured_keyframes: slam.num_measured_keyframes(),
             reactivated_keyframes: slam.counts().reactivations,
             relocalisations: slam.counts().relocalisations,
             fragments: slam.fragments().iter().map(FragmentSummary::new).collect(),

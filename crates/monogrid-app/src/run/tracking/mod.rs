@@ -12,6 +12,7 @@ pub mod tracked;
 
 use crate::camera::calibration_check::CalibrationCheck;
 use crate::camera::rolling::ShutterSearch;
+use crate::input::depth_images::FrameDepths;
 use crate::input::frame_colours::FrameColours;
 use crate::input::seen::{no_map, watch_of_working_images};
 use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
@@ -72,7 +73,7 @@ impl<'a> Tracking<'a> {
         interrupted: &'a AtomicBool,
     ) -> Self {
         let num_frames = input.expected_frames().unwrap_or(0);
-        let has_depth = settings.seed_depth.is_some() || settings.continued.is_some();
+        let has_depth = settings.depth.is_some() || settings.continued.is_some();
         let may_be_refused = !input.is_repeatable() && !has_depth;
         Self {
             num_keyframes: pipeline.slam().num_keyframes(),
@@ -162,7 +163,14 @@ impl<'a> Tracking<'a> {
         let fate = match frame.image {
             Some(Ok(image)) => {
                 let next_due = self.next_due(frame.due, frame.timestamp_ns);
-                return self.process((frame.index, frame.timestamp_ns), image, next_due);
+                let depth = self.measured(frame.index, frame.depth);
+                let frame = FrameInput {
+                    index: frame.index,
+                    timestamp_ns: frame.timestamp_ns,
+                    image,
+                    depth,
+                };
+                return self.process(frame, next_due);
             }
             Some(Err(Unusable::Repeats)) => FrameFate::Repeated,
             Some(Err(reason)) => {
@@ -184,26 +192,26 @@ impl<'a> Tracking<'a> {
         Some(due? + Duration::from_nanos(interval_ns as u64))
     }
 
-    fn process(
+    /// What a depth camera measured with a frame; a frame of which that cannot be read has none.
+    fn measured(
         &mut self,
-        (index, timestamp_ns): (usize, i64),
-        image: GrayImage,
-        next_due: Option<Instant>,
-    ) -> (FrameFate, Instant) {
-        let seed_depth = match &self.settings.seed_depth {
-            Some((seeded, _)) if index < *seeded => {
-                self.pipeline.pass_over();
-                return (FrameFate::BeforeSeed, Instant::now());
-            }
-            Some((seeded, depth)) if index == *seeded => Some(depth.clone()),
-            _ => None,
-        };
-        let frame = FrameInput {
-            index,
-            timestamp_ns,
-            image,
-            seed_depth,
-        };
+        index: usize,
+        depth: Option<Result<GrayImage, Unusable>>,
+    ) -> Option<GrayImage> {
+        depth?
+            .inspect_err(|reason| {
+                let said = format!("the depth of frame {index} is not used: {reason}");
+                self.progress.warn(&said);
+            })
+            .ok()
+    }
+
+    fn process(&mut self, frame: FrameInput, next_due: Option<Instant>) -> (FrameFate, Instant) {
+        let first_frame = self.settings.depth.as_ref().map(FrameDepths::first_frame);
+        if first_frame.is_some_and(|first| frame.index < first) {
+            self.pipeline.pass_over();
+            return (FrameFate::BeforeSeed, Instant::now());
+        }
         if let Some(watch) = self.watch.as_mut().filter(|watch| !watch.is_decided()) {
             watch.add(&frame.image);
         }

@@ -1,6 +1,7 @@
 //! A run on the pipeline: what is read, who listens, what becomes of each frame.
 
 use crate::input::Input;
+use crate::input::depth_images::FrameDepths;
 use crate::keyframe_colours::ColourSource;
 use crate::output::OutputFolder;
 use crate::process::failure::{Classify, Failure};
@@ -50,7 +51,7 @@ pub fn track(
     }
     let reading = Reading {
         pace: settings.pace,
-        must_be_used: settings.seed_depth.as_ref().map(|(seeded, _)| *seeded),
+        must_be_used: settings.depth.as_ref().map(FrameDepths::first_frame),
     };
     if let Some(viewer) = &viewer {
         pipeline.listen(viewer.ear()).map_err(Failure::running)?;
@@ -65,6 +66,11 @@ pub fn track(
         Some(_) => Box::new(std::iter::empty()),
         None => input.source(colours),
     };
+    let depths = settings.depth.as_ref();
+    let source = source.map(|frame| match depths {
+        Some(depths) => depths.with_depth(frame),
+        None => frame,
+    });
     let take = |frame| tracking.take(frame);
     let reading = match attempt(|| read_ahead(source, &input.preparation, reading, take)) {
         Ok(reading) => reading.while_running("frames cannot be read")?,
@@ -110,7 +116,7 @@ fn session_info(input: &Input, settings: &RunSettings) -> Result<SessionInfo, Fa
         pinhole: *input.pinhole(),
         width,
         height,
-        scale: match (&settings.seed_depth, settings.earlier()) {
+        scale: match (&settings.depth, settings.earlier()) {
             (Some(_), _) => monogrid_datasets::Scale::Metric,
             (None, Some(earlier)) => earlier.session.scale,
             (None, None) => monogrid_datasets::Scale::Arbitrary,

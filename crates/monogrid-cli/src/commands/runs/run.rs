@@ -2,11 +2,11 @@
 //! computed.
 
 use crate::commands::{use_threads, warn};
-use clap::Args;
+use clap::{Args, ValueEnum};
 use monogrid_app::args::{JsonArg, MappingArgs, Profile, SourceArgs, memory, positive};
 use monogrid_app::camera::refine::refine;
 use monogrid_app::config::RunConfig;
-use monogrid_app::input::depth_images::{dataset_seed_depth, depth_calibration};
+use monogrid_app::input::depth_images::{FrameDepths, depth_calibration};
 use monogrid_app::input::readings::Inertial;
 use monogrid_app::input::seen::Motion;
 use monogrid_app::input::{Images, Input};
@@ -19,7 +19,7 @@ use monogrid_app::run::conclusion::conclude;
 use monogrid_app::run::sessions::{Continued, Earlier, files_of};
 use monogrid_app::run::whole::{Extras, run_all};
 use monogrid_app::run::{MemoryLimit, RunSettings, SubmapPolicy, View};
-use monogrid_image::{GrayImage, WorkingSize};
+use monogrid_image::WorkingSize;
 use monogrid_pipeline::Pace;
 use monogrid_slam::{Purpose, SlamConfig};
 use std::io::IsTerminal;
@@ -44,7 +44,7 @@ pub struct RunArgs {
     #[arg(
         long = "continue",
         value_name = "DIR",
-        conflicts_with = "seed_depth",
+        conflicts_with_all = ["seed_depth", "depth"],
         help_heading = "Input"
     )]
     pub continue_from: Option<PathBuf>,
@@ -72,6 +72,15 @@ pub struct RunArgs {
     /// metric
     #[arg(long, value_name = "FILE|dataset", help_heading = "Input")]
     pub seed_depth: Option<String>,
+    /// Use the images of a depth camera (RGB-D) with every frame that has one: those of the dataset;
+    /// makes the scale metric
+    #[arg(
+        long,
+        value_enum,
+        conflicts_with = "seed_depth",
+        help_heading = "Input"
+    )]
+    pub depth: Option<DepthSource>,
     /// Intrinsics and scale of depth images [default: calibration_depth.txt in the source]
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     pub depth_calibration: Option<PathBuf>,
@@ -136,6 +145,13 @@ pub struct RunArgs {
     pub submaps: Option<u16>,
 }
 
+/// Where the depth of frames comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum DepthSource {
+    /// The dataset's own depth images, registered by their calibration
+    Dataset,
+}
+
 /// Runs the command.
 pub fn execute(args: &RunArgs) -> CommandResult {
     if args.memory_limit.is_some() {
@@ -151,7 +167,7 @@ pub fn execute(args: &RunArgs) -> CommandResult {
     let align = alignment(args, earlier.as_ref())?;
     interrupt::listen();
     let input = open(args, earlier.as_ref(), &config)?;
-    let seed_depth = seed_depth(&input, args)?;
+    let depth = depths(&input, args)?;
     let inputs = inputs(args, &input, &config);
     let out = args.out.as_deref();
     let file = |path: &PathBuf| OutputFile::of_folder(out, path, args.force, &inputs);
@@ -160,7 +176,7 @@ pub fn execute(args: &RunArgs) -> CommandResult {
     let folder = Arc::new(folder);
     let settings = RunSettings {
         mcap,
-        seed_depth,
+        depth,
         continued: earlier.map(|earlier| Continued {
             earlier,
             purpose: match args.localise_only {
@@ -254,7 +270,7 @@ fn open(args: &RunArgs, earlier: Option<&Earlier>, config: &RunConfig) -> Result
                  for a first pass",
             ));
         }
-        if args.seed_depth.is_none() {
+        if args.seed_depth.is_none() && args.depth.is_none() {
             let looked = abandonable("looking", move || {
                 input.motion = Motion::of(&input);
                 input
@@ -285,26 +301,34 @@ fn open_source(args: &RunArgs, how: SourceArgs, usual: WorkingSize) -> Result<In
     abandonable("opening", move || Input::open(&source, &how, usual))?
 }
 
-/// The depth to start with and its frame.
-fn seed_depth(input: &Input, args: &RunArgs) -> Result<Option<(usize, GrayImage)>, Failure> {
-    let (Some(argument), Images::Files(dataset)) = (&args.seed_depth, &input.images) else {
-        return Ok(None);
-    };
+/// The depth of frames: of all that have some, or of the first.
+fn depths(input: &Input, args: &RunArgs) -> Result<Option<FrameDepths>, Failure> {
     let calibration_file = args.depth_calibration.as_deref();
-    let calibration = depth_calibration(dataset, calibration_file, input.camera())?;
-    if argument != "dataset" {
-        let first = input.frames.first().map_or(0, |frame| frame.index);
-        let depth = input.read_depth(Path::new(argument), &calibration)?;
-        return Ok(Some((first, depth)));
+    let (option, at_most) = match (&args.seed_depth, args.depth) {
+        (None, None) => return Ok(None),
+        (None, Some(DepthSource::Dataset)) => ("--depth", usize::MAX),
+        (Some(_), _) => ("--seed-depth", 1),
+    };
+    if let (Some(file), Images::Files(dataset)) = (&args.seed_depth, &input.images)
+        && file != "dataset"
+    {
+        let calibration = depth_calibration(dataset, calibration_file, input.camera())?;
+        return FrameDepths::of_file(input, Path::new(file), calibration);
     }
-    let seed = dataset_seed_depth(input, calibration_file)?;
-    if seed.is_none() {
-        return Err(Failure::input(format!(
-            "--seed-depth dataset: {} has no depth image for any of the frames to use",
-            dataset.root.display()
-        )));
+    let depths = FrameDepths::of_dataset(input, calibration_file, at_most)?;
+    match &depths {
+        Some(found) if at_most > 1 => {
+            eprintln!("depth: {} of the frames have a depth image", found.count());
+        }
+        Some(_) => {}
+        None => {
+            return Err(Failure::input(format!(
+                "{option} dataset: {} has no depth image for any of the frames to use",
+                input.name
+            )));
+        }
     }
-    Ok(seed)
+    Ok(depths)
 }
 
 /// All that is read, and so must not be written.

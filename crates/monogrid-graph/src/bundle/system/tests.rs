@@ -1,10 +1,12 @@
+use crate::RobustKernel;
 use crate::bundle::linear::{State, Window};
 use crate::bundle::prepare::Layout;
 use crate::bundle::schur::{back_substitute, solve_step};
 use crate::bundle::shares::Shares;
 use crate::bundle::system::reduce;
 use crate::bundle::{
-    AnchoredPoint, BundleConfig, BundleKeyframe, BundleProblem, Observation, PoseFreedom, adjust,
+    AnchoredPoint, BundleConfig, BundleKeyframe, BundleProblem, InverseDepthPrior, Observation,
+    PoseFreedom, adjust,
 };
 use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3, Vec6};
 
@@ -121,4 +123,49 @@ fn a_long_run_is_adjusted_with_its_length_held() {
     let before = length(&|k| problem.keyframes[k].camera_from_world);
     let after = length(&|k| solution.camera_from_world[k]);
     assert!((before - after).abs() < 1e-9 * before);
+}
+
+#[test]
+fn the_slope_of_a_measured_depth_is_that_of_the_cost() {
+    let mut problem = chain(10);
+    // of one measurement, one that is wrong by ten standard deviations, and none
+    for (point, off) in [(3, 0.5), (4, -10.0)] {
+        let at = &mut problem.points[point];
+        at.prior = Some(InverseDepthPrior {
+            mean: at.inverse_depth + off * 0.01,
+            sigma: 0.01,
+            kernel: RobustKernel::Huber { delta: 2.0 },
+        });
+    }
+    let config = BundleConfig::default();
+    let mut state = State {
+        camera_from_world: (problem.keyframes.iter())
+            .map(|k| k.camera_from_world)
+            .collect(),
+        inverse_depths: problem.points.iter().map(|p| p.inverse_depth).collect(),
+    };
+    let layout = Layout::new(&problem);
+    let window = Window::new(&problem, &layout, None, &config);
+    let normal = window.linearise(&state);
+    let without = chain(10);
+    let bare = Window::new(&without, &layout, None, &config).linearise(&state);
+    for point in [3, 4, 5] {
+        let mut cost_at = |step: f64| {
+            let before = state.inverse_depths[point];
+            state.inverse_depths[point] = before + step;
+            let cost = window.cost(&state, &window.active);
+            state.inverse_depths[point] = before;
+            cost
+        };
+        let numeric = (cost_at(1e-6) - cost_at(-1e-6)) / 2e-6;
+        let slope = -normal.b_points[point];
+        assert!(
+            (slope - numeric).abs() < 1e-4 * numeric.abs(),
+            "{slope} {numeric}"
+        );
+    }
+    let pull = |point: usize| normal.b_points[point] - bare.b_points[point];
+    assert!((pull(3) - 50.0).abs() < 1e-9, "half a sigma");
+    assert!((pull(4) + 200.0).abs() < 1e-9, "no more than two sigmas");
+    assert_eq!(pull(5), 0.0);
 }

@@ -21,6 +21,7 @@ fn map_with(fragments: &[FragmentId]) -> Map {
             image: KeyframeImage::new(map.store(), &GrayImage::filled(32, 32, 0.0)),
             exposure: Exposure::NEUTRAL,
             world_from_keyframe: pose(f64::from(id), 1.0),
+            measured: None,
         });
         let inliers = match parent {
             Some(parent) => map[parent].points.anchored.clone(),
@@ -36,6 +37,7 @@ fn map_with(fragments: &[FragmentId]) -> Map {
             idepth: f64::from(k),
             prior_idepth: f64::from(k),
             prior_sigma: 0.1,
+            is_measured: false,
             pixel_size: 1.0,
             observations: Vec::new(),
             alive: true,
@@ -119,6 +121,44 @@ fn points_keep_their_place_in_a_keyframe_that_is_moved_and_scaled() {
     }
     let moved = &map.points()[3];
     assert!((moved.prior_sigma / moved.prior_idepth - sigma).abs() < 1e-12);
+}
+
+#[test]
+fn a_keyframe_that_a_depth_camera_measured_is_moved_and_keeps_its_size_and_ranges() {
+    let mut map = map_with(&[0, 0, 0]);
+    map.set_scale(Scale::Metric);
+    let depth = GrayImage::from_fn(32, 32, |x, _| if x < 16 { 2.0 } else { f32::NAN });
+    map.measure(1, &MeasuredDepth::new(&depth, 0.01));
+    let measured: Vec<_> = map.points().iter().map(|p| p.is_measured).collect();
+    assert_eq!(
+        measured,
+        [false, false, false, true, true, true, false, false, false]
+    );
+    let ranges = |map: &Map| {
+        let hosted = map.points().iter().filter(|point| point.host == 1);
+        hosted
+            .map(|p| (p.prior_idepth, p.prior_sigma))
+            .collect::<Vec<_>>()
+    };
+    assert!(
+        ranges(&map)
+            .iter()
+            .all(|(idepth, sigma)| *idepth == 0.5 && (sigma - 0.01).abs() < 1e-8)
+    );
+    let (before, known) = (map[1].world_from_keyframe.scale, ranges(&map));
+    let change = optimised(
+        &map,
+        &[(1, pose(5.0, 2.5)), (2, pose(6.0, 2.5))],
+        Vec::new(),
+    );
+    map.follow_graph(change, 77);
+    assert_eq!(map[1].world_from_keyframe.scale, before);
+    assert_eq!(
+        map[1].world_from_keyframe.translation,
+        pose(5.0, 2.5).translation
+    );
+    assert!((map[2].world_from_keyframe.scale - 2.5).abs() < 1e-12);
+    assert_eq!(ranges(&map), known);
 }
 
 #[test]
@@ -315,6 +355,7 @@ fn the_cost_of_a_graph_update_follows_what_moved() {
             image: KeyframeImage::new(map.store(), &GrayImage::filled(32, 32, 0.0)),
             exposure: Exposure::NEUTRAL,
             world_from_keyframe: pose(f64::from(id), 1.0),
+            measured: None,
         });
         let point = |k: u32| SparsePoint {
             host: id,
@@ -322,6 +363,7 @@ fn the_cost_of_a_graph_update_follows_what_moved() {
             idepth: f64::from(k),
             prior_idepth: f64::from(k),
             prior_sigma: 0.1,
+            is_measured: false,
             pixel_size: 1.0,
             observations: Vec::new(),
             alive: true,

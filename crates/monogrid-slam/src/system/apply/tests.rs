@@ -26,16 +26,14 @@ fn started_at_the_end(sequence: &SynthSequence, config: SlamConfig) -> Slam {
             index: k,
             timestamp_ns: k as i64 * 133_333_333,
             image: rendered.image,
-            seed_depth: None,
+            depth: sequence.depth(shown(k)).filter(|_| k == FRAMES - 1),
         })
     };
     let last = FRAMES - 1;
     let earlier = (0..last).map(|k| BufferedFrame::new(&frame(&slam, k)));
     let earlier = earlier.collect();
-    let (start, depth) = (slam.start.take(), sequence.depth(shown(last)));
-    let outcome = start
-        .unwrap()
-        .add_frame(frame(&slam, last), depth.as_ref(), &slam.setup);
+    let start = slam.start.take();
+    let outcome = start.unwrap().add_frame(frame(&slam, last), &slam.setup);
     let started = outcome.expect("true depth decides at once");
     let mut report = FrameReport::new(last, 0, TrackingState::Initialising);
     slam.begin_map(

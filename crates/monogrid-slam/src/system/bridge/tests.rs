@@ -19,7 +19,7 @@ fn input(sequence: &SynthSequence, k: usize, change: fn(GrayImage) -> GrayImage)
         index: k,
         timestamp_ns: k as i64 * INTERVAL_NS,
         image: change(sequence.frame(STEP * k).unwrap().image),
-        seed_depth: (k == 0).then(|| sequence.depth(0)).flatten(),
+        depth: (k == 0).then(|| sequence.depth(0)).flatten(),
     }
 }
 
@@ -36,7 +36,7 @@ fn after_a_loss(sequence: &SynthSequence, change: fn(GrayImage) -> GrayImage) ->
     let mut start = Start::new(&setup.config, 0);
     for k in TRACKED..8 * TRACKED {
         let frame = setup.frame(input(sequence, k, change));
-        if let Ok(started) = start.add_frame(frame, None, setup) {
+        if let Ok(started) = start.add_frame(frame, setup) {
             return (slam, *started);
         }
     }

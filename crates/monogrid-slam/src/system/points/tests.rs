@@ -22,7 +22,7 @@ fn with_keyframes(sequence: &SynthSequence) -> Slam {
             index,
             timestamp_ns: index as i64 * 100_000_000,
             image: sequence.frame(k).unwrap().image,
-            seed_depth: (k == 0).then(|| sequence.depth(0)).flatten(),
+            depth: (k == 0).then(|| sequence.depth(0)).flatten(),
         });
     }
     slam.await_graph();

@@ -15,7 +15,7 @@ fn input(sequence: &SynthSequence, index: usize, image: GrayImage) -> FrameInput
         index,
         timestamp_ns: sequence.frame(index).unwrap().timestamp_ns,
         image,
-        seed_depth: (index == 0).then(|| sequence.depth(0)).flatten(),
+        depth: (index == 0).then(|| sequence.depth(0)).flatten(),
     }
 }
 
