@@ -2,7 +2,6 @@
 //! uncertainty of its own.
 
 use crate::DepthPixel;
-use crate::choose::MATURE_VALIDITY;
 use crate::map::{DepthMap, Hypothesis};
 use monogrid_geometry::{Pinhole, Se3, Vec2};
 use monogrid_image::{GrayImage, Image};
@@ -13,6 +12,10 @@ const EDGE_RADIUS: usize = 2;
 /// Depths within that radius of a pixel belong to one surface when the farthest is at most this
 /// much above the nearest: a surface that is seen under 5 degrees at a focal length of 500 px.
 const SAME_SURFACE_RATIO: f32 = 1.08;
+/// How much larger the standard deviation of a pixel beside an edge is.
+const EDGE_FACTOR: f32 = 10.0;
+/// Confirmation of what was measured: as that of many observations.
+const MEASURED_VALIDITY: u8 = 50;
 /// A hypothesis and a measurement are of one surface within so many standard deviations.
 const SAME_DEPTH_SIGMAS: f32 = 3.0;
 
@@ -22,7 +25,7 @@ const SAME_DEPTH_SIGMAS: f32 = 3.0;
 /// disparities: the inverse depth has the same one everywhere.
 #[derive(Clone, Debug)]
 pub struct MeasuredDepth {
-    /// 1/m, 0 where nothing was measured.
+    /// 1/m, 0 where nothing was measured; negative beside an edge of depth.
     idepth: GrayImage,
     /// Standard deviation of all of it, 1/m.
     sigma: f32,
@@ -30,7 +33,8 @@ pub struct MeasuredDepth {
 
 impl MeasuredDepth {
     /// From depths `z` (m; NaN, infinite or not positive = unknown) and their standard deviation at
-    /// 1 m. Pixels beside an edge of depth are left out: their texture may belong to either side.
+    /// 1 m. Pixels beside an edge of depth count for the depth filter alone, where it knows nothing
+    /// else, and with ten times the standard deviation: their texture may belong to either side.
     #[must_use]
     pub fn new(depth: &GrayImage, sigma: f32) -> Self {
         let inverse = |z: f32| {
@@ -48,18 +52,22 @@ impl MeasuredDepth {
         let idepth = Image::from_fn(all.width(), all.height(), |x, y| {
             let (near, far) = (nearest.at(x, y), farthest.at(x, y));
             let limit = (SAME_SURFACE_RATIO * far).max(far + 6.0 * sigma);
-            if near <= limit { all.at(x, y) } else { 0.0 }
+            if near <= limit {
+                all.at(x, y)
+            } else {
+                -all.at(x, y)
+            }
         });
         Self { idepth, sigma }
     }
 
-    /// From inverse depths (1/m, 0 where nothing was measured) and their standard deviation, 1/m.
+    /// From what [`Self::idepth`] and [`Self::sigma`] say.
     #[must_use]
     pub fn of_inverse(idepth: GrayImage, sigma: f32) -> Self {
         Self { idepth, sigma }
     }
 
-    /// Inverse depths, 1/m, 0 where nothing was measured.
+    /// Inverse depths, 1/m, 0 where nothing was measured, negative beside an edge of depth.
     #[must_use]
     pub fn idepth(&self) -> &GrayImage {
         &self.idepth
@@ -78,7 +86,7 @@ impl MeasuredDepth {
     }
 
     /// The inverse depth (1/m) of a pixel and its standard deviation; `None` where it was not
-    /// measured, and outside of the image.
+    /// measured, beside an edge of depth, and outside of the image.
     #[must_use]
     pub fn at(&self, x: usize, y: usize) -> Option<(f32, f32)> {
         let is_inside = x < self.idepth.width() && y < self.idepth.height();
@@ -170,14 +178,19 @@ impl DepthMap {
         let candidates: Vec<_> = self.all_candidates().collect();
         let mut num_measured = 0;
         for (x, y, i) in candidates {
-            let Some((idepth, sigma)) = measured.at(x, y) else {
+            let known = (self.arrays.idepth[i], self.arrays.var[i]);
+            let idepth = measured.idepth.at(x, y);
+            let sigma = if idepth > 0.0 {
+                measured.sigma
+            } else if idepth < 0.0 && known.1 <= 0.0 {
+                EDGE_FACTOR * measured.sigma
+            } else {
                 continue;
             };
             num_measured += 1;
-            let (idepth, var) = (idepth * unit, (sigma * unit).powi(2));
-            let known = (self.arrays.idepth[i], self.arrays.var[i]);
+            let (idepth, var) = (idepth.abs() * unit, (sigma * unit).powi(2));
             let (idepth, var) = fused(known, (idepth, var));
-            let validity = self.arrays.validity[i].max(MATURE_VALIDITY);
+            let validity = self.arrays.validity[i].max(MEASURED_VALIDITY);
             let hypothesis = Hypothesis {
                 idepth,
                 var,
@@ -249,12 +262,33 @@ mod tests {
             assert!((replaced.idepth_var - 0.0004).abs() < 1e-8);
         }
         let confirmed = PixelFilter {
-            min_validity: MATURE_VALIDITY,
+            min_validity: MEASURED_VALIDITY,
             ..PixelFilter::default()
         };
         assert_eq!(map.pixels(confirmed).count(), num);
         let small = MeasuredDepth::new(&GrayImage::filled(8, 8, 2.0), 0.01);
         assert_eq!(map.fuse_measured(&small, 2.0), 0);
+    }
+
+    #[test]
+    fn beside_an_edge_the_filter_keeps_what_it_knows_and_begins_uncertain() {
+        let depth = GrayImage::from_fn(64, 48, |x, _| if x < 16 { 1.0 } else { 2.0 });
+        let measured = MeasuredDepth::new(&depth, 0.01);
+        assert!(measured.at(15, 20).is_none() && measured.at(16, 20).is_none());
+        let mut map = stripes();
+        let known = DepthPixel {
+            x: 15,
+            y: 20,
+            idepth: 0.4,
+            idepth_var: 0.1,
+        };
+        assert!(map.seed_pixel(&known, 20));
+        map.fuse_measured(&measured, 1.0);
+        assert_eq!(map.at(15, 20), Some(known));
+        let begun = map.at(15, 21).unwrap();
+        assert!(begun.idepth == 1.0 && (begun.idepth_var - 0.01).abs() < 1e-7);
+        let away = map.at(23, 21).unwrap();
+        assert!(away.idepth == 0.5 && (away.idepth_var - 1e-4).abs() < 1e-9);
     }
 
     #[test]

@@ -160,8 +160,7 @@ fn with_depth_camera(has_depth: impl Fn(usize) -> bool) -> Vec<FrameInput> {
 }
 
 #[test]
-fn a_depth_camera_holds_the_scale_and_makes_poses_better() {
-    let (alone, _) = run(SlamConfig::default(), 0, &clip().inputs);
+fn a_depth_camera_holds_the_scale_with_every_frame_and_with_few() {
     let (all, reports) = run(SlamConfig::default(), 0, &with_depth_camera(|_| true));
     let (seldom, _) = run(
         SlamConfig::default(),
@@ -169,18 +168,16 @@ fn a_depth_camera_holds_the_scale_and_makes_poses_better() {
         &with_depth_camera(|k| k % 20 == 0),
     );
     assert!(reports.iter().all(|r| r.state == TrackingState::Good));
-    let [alone, with, rare] = [&alone, &all, &seldom].map(evaluate);
+    let [with, rare] = [&all, &seldom].map(evaluate);
     for (slam, report) in [(&all, &with), (&seldom, &rare)] {
         assert_eq!(slam.scale(), Scale::Metric);
         assert!((report.scale - 1.0).abs() < 0.005, "scale {}", report.scale);
-        assert_eq!(slam.num_measured_keyframes(), slam.num_keyframes());
+        let share = report.ate_rmse / report.path_length;
+        assert!(share < 0.005, "{} m", report.ate_rmse);
     }
-    assert!(
-        with.ate_rmse < alone.ate_rmse,
-        "{} {}",
-        with.ate_rmse,
-        alone.ate_rmse
-    );
+    assert_eq!(all.num_measured_keyframes(), all.num_keyframes());
+    // the last one was made after the last depth image
+    assert!(seldom.num_measured_keyframes() + 1 >= seldom.num_keyframes());
     // what is published of a keyframe is what the depth camera saw of it
     let area = clip().sequence.camera().width * clip().sequence.camera().height;
     assert!(all.keyframes().iter().all(|k| k.num_pixels > area * 8 / 10));

@@ -15,7 +15,10 @@ const STEP: usize = 4;
 fn with_keyframes(sequence: &SynthSequence) -> Slam {
     let camera = sequence.camera();
     let mask = Mask::filled(camera.width, camera.height, 255);
-    let mut slam = Slam::new(SlamConfig::default(), camera.pinhole, mask, 0).unwrap();
+    let mut config = SlamConfig::default();
+    // so that measured depth holds the scale and little else
+    config.depth_camera.sigma = 0.007;
+    let mut slam = Slam::new(config, camera.pinhole, mask, 0).unwrap();
     for index in 0..45 {
         let k = STEP * index;
         slam.process_frame(FrameInput {
