@@ -232,7 +232,12 @@ fn options_that_do_not_fit_the_source() {
     assert_fails(
         &run(dir.path(), &out, &["--seed-depth", "dataset"]),
         2,
-        &["no depth image"],
+        &["--seed-depth", "no depth image"],
+    );
+    assert_fails(
+        &run(dir.path(), &out, &["--depth", "dataset"]),
+        2,
+        &["--depth", "no depth image"],
     );
     let mask = dir.path().join("mask.pgm");
     fs::write(&mask, b"P5\n2 2\n255\n\xff\xff\xff\xff").unwrap();

@@ -541,6 +541,54 @@ fn colour_of_the_source_is_kept_and_shown() {
     assert_eq!(first, colours(&later)[..first.len()]);
 }
 
+#[test]
+fn a_depth_camera_is_used_with_every_frame_that_has_a_depth_image_that_can_be_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let source = dir.path().join("room");
+    copy_of_small_sequence(&source);
+    let list = fs::read_to_string(source.join("depth.txt")).unwrap();
+    let images: Vec<&str> = list
+        .lines()
+        .filter(|line| !line.starts_with('#'))
+        .filter_map(|line| line.split_whitespace().nth(1))
+        .collect();
+    assert!(images.len() > 3, "{list}");
+    fs::write(source.join(images[2]), b"no image").unwrap();
+    let run = |out: &str, threads: &str| {
+        let out = dir.path().join(out);
+        let words = [
+            "run".as_ref(),
+            source.as_os_str(),
+            "--out".as_ref(),
+            out.as_os_str(),
+        ];
+        let more = ["--depth", "dataset", "--threads", threads, "--json"];
+        let output = program().args(words).args(more).output().unwrap();
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        (out, output)
+    };
+    let (one, output) = run("one", "1");
+    let said = stderr(&output);
+    assert!(
+        said.contains(&format!(
+            "{} of the frames have a depth image",
+            images.len()
+        )),
+        "{said}"
+    );
+    assert_eq!(said.matches("the depth of frame").count(), 1, "{said}");
+    let summary = json(&output);
+    assert_eq!(summary["scale"], "metric");
+    let count = |key: &str| summary[key].as_u64().unwrap();
+    assert!(count("measured_keyframes") >= 2, "{summary}");
+    assert!(count("measured_keyframes") <= count("keyframes"));
+    let (two, _) = run("two", "2");
+    for name in ["trajectory.txt", "recording.mgk", "global.ot"] {
+        let [a, b] = [&one, &two].map(|out| fs::read(out.join(name)).unwrap());
+        assert!(a == b, "{name}");
+    }
+}
+
 /// Starts a run and waits until its recording is a few keyframes long.
 fn started(source: &Path, out: &Path) -> std::process::Child {
     let mut child = program()

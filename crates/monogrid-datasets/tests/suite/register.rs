@@ -178,3 +178,27 @@ fn a_camera_of_any_size_costs_nothing_until_an_image_of_it_is_there() {
         assert!(registration.register(&depth).is_none());
     }
 }
+
+#[test]
+fn images_of_the_same_camera_stay_as_they_are() {
+    let camera = depth_camera(Distortion::None);
+    let depth = Image::from_fn(160, 120, |x, y| match (x + y) % 3 {
+        0 => 0.7 + 0.01 * x as f32,
+        1 => 0.0,
+        _ => f32::NAN,
+    });
+    let calibration = calibration(camera, Se3::identity());
+    let same = DepthRegistration::new(&calibration, &camera.pinhole, 160, 120);
+    let registered = same.register(&depth).unwrap();
+    for (found, given) in registered.as_slice().iter().zip(depth.as_slice()) {
+        assert!(if *given > 0.0 {
+            found == given
+        } else {
+            found.is_nan()
+        });
+    }
+    // another camera sees something else
+    let other = Pinhole::new(150.0, 146.0, 80.0, 60.0);
+    let other = DepthRegistration::new(&calibration, &other, 160, 120);
+    assert!(other.register(&depth).unwrap() != registered);
+}
