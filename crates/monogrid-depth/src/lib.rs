@@ -4,7 +4,8 @@
 //! refined by small- and long-baseline stereo against frames whose pose is known.
 //!
 //! Flow: [`HostFrame`] (image, gradients, mask) → [`DepthMap::propagate`] or an `initialize_…`, and
-//! [`DepthMap::fuse_measured`] where a depth camera measured depth → for each frame [`DepthMap::bands`] and [`DepthBand::observe`], [`DepthMap::finish_observation`],
+//! [`DepthMap::fuse_measured`] where a depth camera measured depth → for each frame
+//! [`DepthMap::bands`] and [`DepthBand::observe`], [`DepthMap::finish_observation`],
 //! [`DepthMap::fill_holes`], [`DepthMap::regularize`] → [`DepthMap::pixels`]. When all poses are
 //! known: [`refine_depth`] from the images of the other keyframes, and [`dense_depth`] for the
 //! pixels that the filter does not have.

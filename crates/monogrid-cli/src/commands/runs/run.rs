@@ -72,8 +72,8 @@ pub struct RunArgs {
     /// metric
     #[arg(long, value_name = "FILE|dataset", help_heading = "Input")]
     pub seed_depth: Option<String>,
-    /// Use the images of a depth camera (RGB-D) with every frame that has one: those of the dataset;
-    /// makes the scale metric
+    /// Use the images of a depth camera (RGB-D) with every frame that has one: those of the
+    /// dataset; makes the scale metric
     #[arg(
         long,
         value_enum,
