@@ -94,7 +94,7 @@ impl MeasuredDepth {
         (idepth > 0.0).then_some((idepth, self.sigma))
     }
 
-    /// The same of the pixel that is nearest to a place in the image.
+    /// What [`Self::at`] says of the pixel nearest to a place in the image.
     #[must_use]
     pub fn near(&self, x: f64, y: f64) -> Option<(f32, f32)> {
         self.at((x + 0.5) as usize, (y + 0.5) as usize)
@@ -113,8 +113,8 @@ impl MeasuredDepth {
         })
     }
 
-    /// The same as another frame of the same camera sees it, the nearest surface in front, and of
-    /// that what is seen nearest to the centre of a pixel; `other_from_frame` has its translation
+    /// These depths as another frame of this camera sees them: the nearest surface in front, and of
+    /// that what is seen nearest to the centre of a pixel. `other_from_frame` has its translation
     /// in metres.
     #[must_use]
     pub fn seen_from(&self, other_from_frame: &Se3, pinhole: &Pinhole) -> Self {

@@ -481,7 +481,6 @@ mod tests {
             waited += 1;
             rectifier.add(ReadFrame {
                 image: Some(Err(Unusable::Repeats)),
-                depth: None,
                 ..frame(waited, [4.0, 0.0], READOUT_NS)
             });
         }

@@ -57,16 +57,21 @@ fn chain(num_keyframes: usize) -> BundleProblem {
     problem
 }
 
-#[test]
-fn a_step_is_that_of_the_dense_system() {
-    let problem = chain(90);
-    let config = BundleConfig::default();
-    let state = State {
+/// Poses and inverse depths as the problem gives them.
+fn start_of(problem: &BundleProblem) -> State {
+    State {
         camera_from_world: (problem.keyframes.iter())
             .map(|k| k.camera_from_world)
             .collect(),
         inverse_depths: problem.points.iter().map(|p| p.inverse_depth).collect(),
-    };
+    }
+}
+
+#[test]
+fn a_step_is_that_of_the_dense_system() {
+    let problem = chain(90);
+    let config = BundleConfig::default();
+    let state = start_of(&problem);
     let layout = Layout::new(&problem);
     let window = Window::new(&problem, &layout, None, &config);
     let normal = window.linearise(&state);
@@ -86,12 +91,7 @@ fn a_step_is_that_of_the_dense_system() {
 #[test]
 fn shares_add_up_to_the_whole() {
     let problem = chain(90);
-    let state = State {
-        camera_from_world: (problem.keyframes.iter())
-            .map(|k| k.camera_from_world)
-            .collect(),
-        inverse_depths: problem.points.iter().map(|p| p.inverse_depth).collect(),
-    };
+    let state = start_of(&problem);
     let config = BundleConfig::default();
     let system = |shares: usize| {
         let mut layout = Layout::new(&problem);
@@ -138,12 +138,7 @@ fn the_slope_of_a_measured_depth_is_that_of_the_cost() {
         });
     }
     let config = BundleConfig::default();
-    let mut state = State {
-        camera_from_world: (problem.keyframes.iter())
-            .map(|k| k.camera_from_world)
-            .collect(),
-        inverse_depths: problem.points.iter().map(|p| p.inverse_depth).collect(),
-    };
+    let mut state = start_of(&problem);
     let layout = Layout::new(&problem);
     let window = Window::new(&problem, &layout, None, &config);
     let normal = window.linearise(&state);
