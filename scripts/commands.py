@@ -17,7 +17,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 KINDS = ("*.md", "*.rs", "*.sh", "*.toml", "*.html", "Dockerfile", ".ci/run")
 # how things were
-HISTORY = {"CHANGELOG.md", "docs/studies.md"}
+HISTORY = {"CHANGELOG.md"}
 # what lines begin with in code and in scripts, so that a command may go on in the next line
 LINE_START = re.compile(r"\\?\n[ \t]*(?:(?://[!/]?|#)[ \t]*)?")
 TARGET = re.compile(r"--(example|test|bin)[ =]([a-z0-9_-]+)\b(?:\s+([a-z0-9_]+)::)?")

@@ -5,7 +5,7 @@
 
 The last table of docs/glossary.md has the words, what to say instead, and the packages that still have them. A word must
 not be part of a name: of an identifier, a file or a folder. Those documents must not have it that say how things are;
-those that say how they were (changelog, benchmarks, studies) may. A package that is listed and does not have its word
+those that say how they were (changelog, survey) may. A package that is listed and does not have its word
 any more is named, so that the list gets shorter. Needs Python 3 and nothing else.
 """
 import re
@@ -16,7 +16,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 GLOSSARY = "docs/glossary.md"
 # how things were
-HISTORY = {"CHANGELOG.md", "BENCHMARKS.md", "docs/studies.md", "docs/survey.md", "docs/thesis-comparison.md"}
+HISTORY = {"CHANGELOG.md", "docs/survey.md", "docs/thesis-comparison.md"}
 # comments, raw strings, strings, characters: what is no name; a quote that is left begins a lifetime
 NO_NAME = re.compile(
     r"""//[^\n]*|/\*.*?\*/|\bb?r(#*)".*?"\1|b?"(?:\\.|[^"\\])*"|b?'(?:\\.[^']*|[^'\\\n])'""", re.DOTALL

@@ -64,8 +64,7 @@ impl MapQuality {
     }
 
     /// In five recordings more of the surfaces was found by all of `best` together
-    /// (docs/studies.md,
-    /// *Quality best*); single parts took some away.
+    /// (docs/decisions/015-dense-depth.md); single parts took some away.
     pub(crate) fn effort(self) -> Effort {
         let mut stereo = DenseConfig::default();
         if self == Self::Best {
