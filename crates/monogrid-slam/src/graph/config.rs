@@ -37,7 +37,7 @@ pub struct PlaceRecognitionConfig {
     pub enabled: bool,
     /// How keyframes that may show the same place are chosen.
     pub method: PlaceMethod,
-    /// File with the words of FAB-MAP, made by `monogrid vocabulary`; empty for the one that comes
+    /// File with the words of FAB-MAP, made by `monogrid thesis vocabulary`; empty for what comes
     /// with the program.
     pub vocabulary: PathBuf,
     /// Keyframes between the two of a loop at least.

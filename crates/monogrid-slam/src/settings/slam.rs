@@ -99,8 +99,8 @@ pub const SLAM: Settings<SlamConfig> = settings! { slam: SlamConfig, OLD,
         "How places are recognised: by `corners`, or by `fab-map` as the thesis does.",
         "`fab-map` repeats the thesis.";
     slam.graph.places.vocabulary => "file", [],
-        "Words of FAB-MAP, made by `monogrid vocabulary`. Empty takes those that come with the \
-         program.",
+        "Words of FAB-MAP, made by `monogrid thesis vocabulary`. Empty takes those that come with \
+         the program.",
         "Train one for scenes unlike indoor rooms.";
     slam.fragments.enabled => "", [],
         "Whether a lost camera starts a new fragment of the map. It needs `slam.graph.enabled` and \
