@@ -48,7 +48,7 @@ def function_lengths(lines):
 
 def num_crates():
     """Crates that a release build compiles on Linux, its own included."""
-    command = ["cargo", "tree", "-p", "monogrid", "-e", "normal,build", "--prefix", "none"]
+    command = ["cargo", "tree", "-p", "monogrid-cli", "-e", "normal,build", "--prefix", "none"]
     command += ["--target", "x86_64-unknown-linux-gnu"]
     lines = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout.splitlines()
     return len({tuple(line.split()[:2]) for line in lines if line})
