@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""A preprocessor of mdbook: links of the book that lead out of docs/ go to the repository on the network.
+"""A preprocessor of mdbook: links of the book that are right between files and would not be on a site.
 
-As files the pages link the files beside them, which a site of its own does not have. Called by mdbook (book.toml).
+Those that lead out of docs/ go to the repository on the network, those to a README to the first page of its folder.
+Called by mdbook (book.toml).
 """
 import json
 import posixpath
@@ -17,7 +18,11 @@ def outside(content, path):
 
     def replaced(found):
         target = posixpath.normpath(posixpath.join("docs", posixpath.dirname(path), found[1]))
-        return found.group() if target.startswith("docs/") else f"]({REPOSITORY}{target}{found[2] or ''})"
+        anchor = found[2] or ""
+        if not target.startswith("docs/"):
+            return f"]({REPOSITORY}{target}{anchor})"
+        # a README is the first page of its folder there
+        return f"]({re.sub(r'README.md$', 'index.md', found[1])}{anchor})"
 
     return LINK.sub(replaced, content)
 
