@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Accuracy on the sequences of ../shared/data: five runs with `--seed i --start i`, median and worst.
+# Accuracy on the recordings of scripts/data.sh: five runs with `--seed i --start i`, median and worst.
 #
 #   scripts/accuracy.sh [PROFILE] [SEQUENCE...]       PROFILE: default, fast or thesis
 #
@@ -28,9 +28,9 @@ all() {
   done
 }
 
-printf '| sequence (%s) | C++ LSD-SLAM | DSO | ATE, m | scale drift | coverage | rotation per frame, degrees |\n|---|---|---|---|---|---|---|\n' "$profile"
+printf '| sequence (%s) | ORB-SLAM3 | COLMAP | C++ LSD-SLAM | DSO | ATE, m | scale drift | coverage | rotation per frame, degrees |\n|---|---|---|---|---|---|---|---|---|\n' "$profile"
 for sequence in "${sequences[@]}"; do
-  source=$shared/data/$sequence
+  source=$data/$sequence
   for i in $(seq 0 $((${RUNS:-5} - 1))); do
     run=$results/$sequence-$profile-$i
     kept_run "$run" run "$source" --profile "$profile" --seed "$i" --start "$i" ${MAX_FRAMES:+--max-frames "$MAX_FRAMES"}

@@ -3,17 +3,20 @@
 #
 #   scripts/benchmarks.sh quick [PART...]      small settings of every part (or of these): does everything still work?
 #   scripts/benchmarks.sh [full] [PART...]     the settings of BENCHMARKS.md; all parts take some hours on two cores
-#   scripts/benchmarks.sh readme               the table of README.md as it is measured, and its picture as docs/preview.png
+#   scripts/benchmarks.sh readme               the table of README.md, and its picture as docs/preview.png
+#   scripts/benchmarks.sh first                how long the first commands of README.md take
 #   scripts/benchmarks.sh help                 this text and the parts
 #
 # Finished parts and runs are found again in target/benchmarks/MODE-PROGRAM (RESULTS: another folder), so what was interrupted
 # goes on; PROGRAM are the first digits of the program's checksum, so that results of two programs never mix. A part that fails
-# is named at the end, with exit code 1; the others are printed all the same. BIN: another binary than that of this source;
-# SHARED: another folder than ../shared.
+# is named at the end, with exit code 1; the others are printed all the same. A full run of a source without changes puts
+# its tables into benchmarks/results.json, from which scripts/results.py prints README.md and BENCHMARKS.md.
+#
+# MONOGRID_DATA: the folder of the recordings (scripts/data.sh). BIN: another program than that of this source, with
+# COMMIT, the commit that it was built from.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/common.sh
-data=$shared/data
 parts=(sequences accuracy small thesis solver demo depth worlds paths sweep engine queries octomap live speed room loops
   kidnap fragments sessions odometry survey size)
 
@@ -26,6 +29,8 @@ wanted=("$@")
 [ ${#wanted[@]} -gt 0 ] || wanted=("${parts[@]}")
 
 if [ -z "${BIN:-}" ]; then
+  # the commit of what is built, where it is known
+  [ -n "$(git status --porcelain)" ] || export COMMIT=${COMMIT:-$(git rev-parse HEAD)}
   cargo build --quiet --release -p monogrid-cli
   export BIN=${CARGO_TARGET_DIR:-target}/release/monogrid
 fi
@@ -353,24 +358,43 @@ readme_row() {
     frames=$(value "$run.json" frames) tracked=$(value "$run.json" tracked) drift=$(value "$run.ate" scale_drift)
     result="$(digits 2 "$(value "$run.ate" ate_rmse)") m"
     awk -v d="$drift" 'BEGIN { exit !(d > 1.05) }' && result+=", scale drift $(digits 3 "$drift")"
-    [ "$frames" = "$tracked" ] || result+=", $((200 * tracked / frames + 1 >> 1)) % of the frames"
+    [ "$frames" = "$tracked" ] || result+=", $(digits 3 "$(awk -v a="$tracked" -v b="$frames" 'BEGIN { print 100 * a / b }')") % of the frames"
   fi
   echo "| $1, $(promised "$1" what) | $(others "$1") | $result |"
 }
 
 part_readme() {
-  echo '| sequence | C++ LSD-SLAM | DSO | monogrid |'
-  echo '|---|---|---|---|'
+  echo '| sequence | ORB-SLAM3 | COLMAP | C++ LSD-SLAM | DSO | monogrid |'
+  echo '|---|---|---|---|---|---|'
   local sequence
   for sequence in red-kitchen fr1-desk tsukuba icl-office icl-office-kt3 kitti-forward kitti-07 euroc-static; do
     readme_row "$sequence"
   done
   demo_run
   local run=$results/demo.json
-  echo "| demo, rendered, $(value "$run" frames) frames, $(digits 2 "$(value "$run" trajectory path_length)") m | – | –" \
+  echo "| demo, rendered, $(value "$run" frames) frames, $(digits 2 "$(value "$run" trajectory path_length)") m | – | – | – | –" \
     "| $(digits 2 "$(value "$run" trajectory ate_rmse)") m; map against the truth: AUC $(digits 2 "$(value "$run" map_error observed auc)")," \
     "MCC $(digits 2 "$(value "$run" map_error observed mcc)") |"
   cp "$results/demo/preview.png" docs/preview.png
+}
+
+# What the first commands of README.md take, from the first frame to the last file.
+part_first() {
+  echo '| command | time, s | frames | with a pose |'
+  echo '|---|---|---|---|'
+  local name run video=$data/phone-desk/video.mp4
+  for name in 'demo --max-frames 300' 'check video.mp4' 'run video.mp4'; do
+    run=$results/first-${name%% *}
+    local words=(${name//video.mp4/$video}) start=$EPOCHREALTIME
+    case $name in
+      check*) "$bin" "${words[@]}" --json >"$run.json" ;;
+      *) rm -rf "$run" && "$bin" "${words[@]}" --out "$run" --json >"$run.json" 2>"$run.log" ;;
+    esac
+    local seconds tracked=–
+    seconds=$(awk -v a="$start" -v b="$EPOCHREALTIME" 'BEGIN { printf "%.0f", b - a }')
+    [[ $name == check* ]] || tracked=$(value "$run.json" tracked)
+    echo "| \`monogrid $name\` | $seconds | $(value "$run.json" frames) | $tracked |"
+  done
 }
 
 # A single part is made here; several each by this script again, so that one that fails does not end the others.
@@ -383,6 +407,7 @@ if [ ${#wanted[@]} -eq 1 ]; then
     mv "$file.part" "$file"
   fi
   cat "$file"
+  if [ "$mode" = full ] && [ -n "${COMMIT:-}" ]; then scripts/results.py collect "$results" "$part"; fi
   exit 0
 fi
 failed=()

@@ -2,8 +2,8 @@
 # shellcheck shell=bash
 
 # shellcheck disable=SC2034 # used by the scripts that source this
-# The folder of test data and of the baseline of the occupancy engine.
-shared=${SHARED:-../shared}
+# The folder of the baseline of the occupancy engine, and that of the recordings (scripts/data.sh).
+shared=${SHARED:-../shared} data=${MONOGRID_DATA:-${SHARED:-../shared}/data}
 
 # The value behind the last of the keys, within the objects that the others name: `value summary.json map_error observed auc`.
 # The file is JSON as monogrid prints it, one key per line.
@@ -26,11 +26,15 @@ promised() {
     crates/monogrid-cli/tests/accuracy.toml
 }
 
-# Results of other programs on a sequence, two cells: C++ LSD-SLAM and DSO (their default parameters, the same calibration).
+# Results of other programs on a sequence, a cell for each: ORB-SLAM3, COLMAP, C++ LSD-SLAM and DSO (their default
+# parameters, the same calibration).
 others() {
-  local lsd_slam dso
-  lsd_slam=$(promised "$1" lsd_slam) dso=$(promised "$1" dso)
-  echo "${lsd_slam:-–} | ${dso:-–}"
+  local other cell row=
+  for other in orb_slam3 colmap lsd_slam dso; do
+    cell=$(promised "$1" "$other")
+    row+=" | ${cell:-–}"
+  done
+  echo "${row# | }"
 }
 
 # kept_run FOLDER ARGUMENT...: `monogrid ARGUMENT... --out FOLDER`, once: a run that ended is found again by FOLDER.exit, which
