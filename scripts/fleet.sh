@@ -4,7 +4,7 @@
 #
 #   scripts/fleet.sh
 #
-# The sources are thirds of red-kitchen (of ../shared/data). Needs root and `ip` (iproute2) for namespaces, veth pairs and a bridge, which are in a
+# The sources are thirds of red-kitchen (of scripts/data.sh). Needs root and `ip` (iproute2) for namespaces, veth pairs and a bridge, which are in a
 # namespace of their own and gone at the end. BIN: another binary of monogrid-fleet; CUT: seconds of the cut; WORK: a folder where the
 # results are kept.
 set -euo pipefail
@@ -22,7 +22,7 @@ mkdir -p /run/netns
 bin=$(realpath "${BIN:-target/release/monogrid-fleet}")
 work=$(realpath "${WORK:-$(mktemp -d)}")
 cut=${CUT:-20}
-source=$(realpath "$shared/data/red-kitchen")
+source=$(realpath "$data/red-kitchen")
 third=211
 
 # timed FILE COMMAND...: its seconds of CPU, user and system, children included, in FILE; what it says in FILE.log.

@@ -14,7 +14,7 @@
 #
 # `tuning` scenes may choose a constant. `validation` scenes never do: they say whether what was
 # chosen holds. Both are looked for by name in the folders of SCENES (separated by colons; default
-# ../shared/data and ../shared/rooms); those that are missing are named. Rooms are drawn by chance:
+# MONOGRID_DATA and ../shared/rooms); those that are missing are named. Rooms are drawn by chance:
 # SEED-CONTRAST-CAMERA. The truth of a scene is its truth.ot, else what its depth images show.
 #
 # A scene counts where its recording can be judged: poses for 90 % of the frames, within 1 % of the
@@ -29,7 +29,7 @@ cd "$(dirname "$0")/.."
 . scripts/common.sh
 bin=${BIN:-target/release/monogrid}
 cell=${CELL:-0.032}
-places=${SCENES:-$shared/data:$shared/rooms}
+places=${SCENES:-$data:$shared/rooms}
 contrasts=(0.1 0.25 0.5 0.8)
 cameras=(demo harsh)
 

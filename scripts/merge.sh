@@ -3,7 +3,7 @@
 #
 #   scripts/merge.sh
 #
-# Four pieces of red-kitchen (of ../shared/data; its images cropped and scaled) and of the office (rendered by cameras of four fields of
+# Four pieces of red-kitchen (of scripts/data.sh; its images cropped and scaled) and of the office (rendered by cameras of four fields of
 # view), each run alone and merged in another order than they were filmed, beside the run of the whole; then SEEDS (default 20) times a piece of
 # another world with the first piece of the office. Needs python3 with Pillow. BIN: another binary; FRAMES: of the office (default 600); WORK: a
 # folder where finished runs are kept, so that the script can be started a second time.
@@ -30,7 +30,7 @@ rendered() {
 # The pieces of red-kitchen: every piece with images of its own size, cropped and scaled.
 kitchen_pieces() {
   [ ! -f "$work/kitchen-3/calibration.txt" ] || return 0
-  python3 - "$shared/data/red-kitchen" "$work" <<'PYTHON'
+  python3 - "$data/red-kitchen" "$work" <<'PYTHON'
 import os, sys
 from PIL import Image
 source, work = sys.argv[1:]
@@ -79,8 +79,8 @@ row() {
 printf '| four pieces of | maps | frames in the largest | ATE, m | of the whole, m | ratio |\n|---|---|---|---|---|---|\n'
 kitchen_pieces
 for k in 0 1 2 3; do kept_run "$work/kitchen-run-$k" run "$work/kitchen-$k"; done
-kept_run "$work/kitchen-run" run "$shared/data/red-kitchen"
-row kitchen "$shared/data/red-kitchen"
+kept_run "$work/kitchen-run" run "$data/red-kitchen"
+row kitchen "$data/red-kitchen"
 
 for k in 0 1 2 3; do
   rendered office "${cameras[k]}" "$work/office-$k" --frames "$frames"

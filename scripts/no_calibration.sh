@@ -2,7 +2,7 @@
 # How well does a run do that is not told its camera? Prints the table of BENCHMARKS.md: focal length and ATE of several starts
 # (`--seed i --start i`) without a calibration, beside the ATE of the same starts with it.
 #
-#   scripts/no_calibration.sh [SEQUENCE...]     a sequence of ../shared/data, or WORLD:CAMERA (office:k1)
+#   scripts/no_calibration.sh [SEQUENCE...]     a recording of scripts/data.sh, or WORLD:CAMERA (office:k1)
 #
 # Without arguments: four sequences, and two worlds through four cameras (`plain`: 65 degrees wide; `k1`: the same with k1 = -0.2; `fov50`
 # and `fov90`), each for some FRAMES (default 300). BIN: another binary; STARTS: how many (default 5); WORK: a folder where finished runs are
@@ -37,7 +37,7 @@ camera_line() {
 source_of() {
   local world=${1%%:*} folder=$work/source-${1/:/-}
   if [ "$world" = "$1" ]; then
-    echo "$shared/data/$1"
+    echo "$data/$1"
     return
   fi
   if [ ! -f "$folder/groundtruth.txt" ]; then

@@ -28,5 +28,6 @@ if ! "$work/env/bin/pip" install -q "$work/package[test]"; then
 fi
 (cd extra/monogrid-ray && "$work/env/bin/python" -m pytest -q -p no:cacheprovider tests/test_task.py)
 shared=()
-[ -d ../shared/data ] && shared=(--shared ../shared/data)
+recordings=${MONOGRID_DATA:-../shared/data}
+[ -d "$recordings" ] && shared=(--shared "$recordings")
 "$work/env/bin/python" extra/monogrid-ray/tests/bar.py "$PROGRAM" "$work/bar" --recordings "${RECORDINGS:-40}" --frames "${FRAMES:-60}" "${shared[@]}"

@@ -4,5 +4,5 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-sequence=$(realpath "${1:-${SHARED:-../shared}/data/red-kitchen}")
+sequence=$(realpath "${1:-${MONOGRID_DATA:-${SHARED:-../shared}/data}/red-kitchen}")
 LOOPBACK_SEQUENCE=$sequence cargo test -p monogrid-ros2 --test loopback -- --ignored --nocapture

@@ -5,7 +5,7 @@
 #   scripts/soak.sh new [FRAMES]      one round through the corridors of a world: new places (default 1500 frames), and what
 #                                     a keyframe takes in memory by owner
 #
-# SEQUENCE: a folder in TUM layout (default ../shared/data/red-kitchen). SIZE: working size (default 320x240; new: 640x480).
+# SEQUENCE: a folder in TUM layout (default red-kitchen of MONOGRID_DATA). SIZE: working size (default 320x240; new: 640x480).
 # BIN: another binary. KEEP: a folder for the run, kept afterwards.
 # Exit code 1 when, in known places, memory grows by 2 % or more between frame 5,000 and the last one, or the CPU time
 # per frame of the last quarter exceeds that of the quarter after frame 5,000 by 10 % or more.
@@ -31,7 +31,7 @@ walk() {
 case $kind in
   known)
     size=${SIZE:-320x240} frames=${2:-30000}
-    walk "${SEQUENCE:-../shared/data/red-kitchen}"
+    walk "${SEQUENCE:-${MONOGRID_DATA:-../shared/data}/red-kitchen}"
     source=$work/list.txt
     ;;
   new)

@@ -3,7 +3,7 @@
 #
 #   scripts/stream.sh [SECONDS]    default 600; the machine should be at rest
 #
-# The images of SEQUENCE (a folder with rgb/ and calibration.txt; default ../shared/data/red-kitchen) there and back at RATE (default 30)
+# The images of SEQUENCE (a folder with rgb/ and calibration.txt; default red-kitchen of MONOGRID_DATA) there and back at RATE (default 30)
 # frames per second through a pipe into `monogrid run - --realtime`. CORES: those of the run (default 0,1). ARGS: more arguments of the run.
 # BIN, PLAYER: other binaries (PLAYER: the example `player` of monogrid-video). KEEP: a folder for the run, kept afterwards.
 # Exit code 1 when after the first minute (the first half of a shorter stream) a frame is dropped, 99 % of the frames of the whole stream do not
@@ -14,7 +14,7 @@ cd "$(dirname "$0")/.."
 bin=${BIN:-target/release/monogrid}
 player=${PLAYER:-target/release/examples/player}
 seconds=${1:-600} rate=${RATE:-30}
-sequence=${SEQUENCE:-$shared/data/red-kitchen}
+sequence=${SEQUENCE:-$data/red-kitchen}
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 out=${KEEP:-$work/run}

@@ -3,7 +3,7 @@
 #
 #   scripts/survey.sh [SEQUENCE...]     a folder, or WORLD:MOTION:NOISE (office:drone:off)
 #
-# Without arguments: all sequences of ../shared/data, and 5 worlds x 4 motions, noisy and clean.
+# Without arguments: all recordings of scripts/data.sh, and 5 worlds x 4 motions, noisy and clean.
 # BIN: another binary; FRAMES: frames of the worlds (default 1500); SIZE: of their images; PROFILES; ROWS: a file that rows are
 # appended to, in which finished rows are found again when the script is started a second time.
 set -euo pipefail
@@ -17,7 +17,7 @@ rows=${ROWS:-/dev/null}
 sequences=("$@")
 if [ ${#sequences[@]} -eq 0 ]; then
   for name in red-kitchen tsukuba icl-office icl-office-kt3 kitti-forward kitti-07 fr1-desk euroc-static; do
-    sequences+=("$shared/data/$name")
+    sequences+=("$data/$name")
   done
   for noise in demo off; do
     for world in living-room office machine-hall corridor-loop blank-walls; do
