@@ -29,8 +29,8 @@ UNIT = r"(?:m|mm|cm|s|ms|min|minutes|seconds|%|MB|GB|kB|px|Hz|°|times|frames pe
 NUMBER = re.compile(rf"(?<![\w.])\d[\d,]*\.\d+|(?<![\w.])\d[\d,]*(?=\s?{UNIT}(?![\w]))")
 # sequences that a part reads, for those who want to repeat it
 DATA = {
-    "sequences": "all recordings of `scripts/data.sh`",
-    "readme": "all recordings of `scripts/data.sh`",
+    "sequences": "the recordings that the table names",
+    "readme": "the recordings that the table names",
     "demo": "none: the room is rendered",
     "first": "phone-desk",
     "odometry": "red-kitchen",
