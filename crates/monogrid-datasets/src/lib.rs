@@ -38,7 +38,7 @@ mod timestamp;
 mod trajectory;
 
 pub use atomic::{AtomicFile, write_atomically, write_atomically_with};
-pub use calibration::{Calibration, read_photometric, read_response, read_vignette};
+pub use calibration::{Calibration, SecondCamera, read_photometric, read_response, read_vignette};
 pub use check::{FrameCheck, FrameChecker, SequenceCheck, blur};
 pub use error::DatasetError;
 pub use files::{open_file, read_file};

@@ -132,7 +132,23 @@ impl Undistorter {
     /// Prepares the mapping. `mask` (in input pixels, 0 = ignore) excludes parts of the image.
     #[must_use]
     pub fn new(input: &Camera, size: WorkingSize, mask: Option<&Mask>) -> Self {
-        let (width, height) = size.resolve(input.width, input.height);
+        Self::prepare(input, size.resolve(input.width, input.height), None, mask)
+    }
+
+    /// Prepares the mapping to images of this `size` (width, height), px, that a pinhole camera at
+    /// the same place and with the same direction of view takes: that of another camera, of which
+    /// this one is the second.
+    #[must_use]
+    pub fn onto(input: &Camera, pinhole: Pinhole, size: (usize, usize)) -> Self {
+        Self::prepare(input, size, Some(pinhole), None)
+    }
+
+    fn prepare(
+        input: &Camera,
+        (width, height): (usize, usize),
+        wanted: Option<Pinhole>,
+        mask: Option<&Mask>,
+    ) -> Self {
         let crop = centred_crop(input, width, height);
         let (left, top, crop_width, crop_height) = crop;
         let reduced = Resize {
@@ -148,14 +164,15 @@ impl Undistorter {
         let enlarge_x = width as f64 / reduced.width as f64;
         let enlarge_y = height as f64 / reduced.height as f64;
         let enlarged = reduced_pinhole.scaled(enlarge_x, enlarge_y);
+        let pinhole = match wanted {
+            Some(pinhole) => pinhole,
+            None if input.distortion == Distortion::None => enlarged,
+            None => inscribed_pinhole(input, &crop, width, height).unwrap_or(enlarged),
+        };
         let plain = input.distortion == Distortion::None
             && reduced.width == width
-            && reduced.height == height;
-        let pinhole = if input.distortion == Distortion::None {
-            enlarged
-        } else {
-            inscribed_pinhole(input, &crop, width, height).unwrap_or(enlarged)
-        };
+            && reduced.height == height
+            && pinhole == enlarged;
         let remap = if plain {
             Vec::new()
         } else {

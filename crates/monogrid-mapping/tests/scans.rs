@@ -27,7 +27,10 @@ fn inputs() -> &'static [FrameInput] {
                 index,
                 timestamp_ns: frame.timestamp_ns,
                 image: frame.image,
-                depth: (index == 0).then(|| sequence().depth(0)).flatten(),
+                depth: (index == 0)
+                    .then(|| sequence().depth(0))
+                    .flatten()
+                    .map(Into::into),
             }
         };
         (0..FRAMES).map(input).collect()

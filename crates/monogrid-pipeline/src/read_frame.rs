@@ -3,6 +3,7 @@
 use crate::shutter::Rectification;
 use crate::unusable::Unusable;
 use monogrid_image::GrayImage;
+use monogrid_slam::DepthInput;
 use std::time::Instant;
 
 /// A frame that was read.
@@ -15,7 +16,7 @@ pub struct ReadFrame {
     /// The working image; `None` for one that was dropped at [`Pace::Real`](crate::Pace::Real).
     pub image: Option<Result<GrayImage, Unusable>>,
     /// [`SourceFrame::depth`](crate::SourceFrame::depth).
-    pub depth: Option<Result<GrayImage, Unusable>>,
+    pub depth: Option<Result<DepthInput, Unusable>>,
     /// The rolling shutter that was taken out of it: time from the first row to the last, ms.
     pub readout_ms: f64,
     /// How that was done, where it was.

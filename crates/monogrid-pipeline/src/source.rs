@@ -7,7 +7,7 @@ use crate::shutter::{MAX_WAITING, Rectifier};
 use crate::unusable::Unusable;
 use crate::waiting::{Entrance, WaitingFrames};
 use monogrid_image::GrayImage;
-use monogrid_slam::fault;
+use monogrid_slam::{DepthInput, fault};
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
 use std::panic::resume_unwind;
@@ -28,9 +28,9 @@ pub struct SourceFrame {
     pub timestamp_ns: i64,
     /// The image of the camera (grey, 0 to 255), or why there is none.
     pub image: Result<GrayImage, Unusable>,
-    /// Depth (z, metres, NaN where unknown) in the camera of the working images, where a depth
-    /// camera measured it, or why it cannot be used.
-    pub depth: Option<Result<GrayImage, Unusable>>,
+    /// What a depth camera or the second camera of a stereo pair says, for the camera of the
+    /// working images, or why it cannot be used.
+    pub depth: Option<Result<DepthInput, Unusable>>,
 }
 
 /// Frames of a file, a folder, a camera, a stream. Every iterator over frames is one.

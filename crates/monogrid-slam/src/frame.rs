@@ -5,6 +5,7 @@ use crate::map::Map;
 use crate::store::Kept;
 use monogrid_alignment::Target;
 use monogrid_depth::MeasuredDepth;
+use monogrid_geometry::Se3;
 use monogrid_image::{GrayImage, Image, Pyramid, to_gray8};
 use std::sync::{Arc, LazyLock};
 
@@ -17,12 +18,39 @@ pub struct FrameInput {
     pub timestamp_ns: i64,
     /// Undistorted grey image of the working size, values in [0, 255].
     pub image: GrayImage,
-    /// Depth (z, metres, NaN where unknown) in the working camera, where a depth camera measured
-    /// it; one of another size is not used.
-    pub depth: Option<GrayImage>,
+    /// What says how far its pixels are, in metres; one of another size is not used.
+    pub depth: Option<DepthInput>,
 }
 
-/// What a depth camera measured, looked at when it is needed: of most frames nobody asks for it.
+/// What says how far the pixels of a frame are.
+#[derive(Clone, Debug)]
+pub enum DepthInput {
+    /// Depth (z, metres, NaN where unknown) in the working camera, as a depth camera measured it.
+    Measured(GrayImage),
+    /// What the second camera of a stereo pair saw at the same time.
+    SecondImage {
+        /// As a camera with the intrinsics of the first sees it.
+        image: GrayImage,
+        /// With the translation in metres.
+        second_from_first: Se3,
+    },
+}
+
+impl From<GrayImage> for DepthInput {
+    fn from(depth: GrayImage) -> Self {
+        Self::Measured(depth)
+    }
+}
+
+impl DepthInput {
+    /// Width and height, px.
+    pub(crate) fn size(&self) -> (usize, usize) {
+        let (Self::Measured(image) | Self::SecondImage { image, .. }) = self;
+        (image.width(), image.height())
+    }
+}
+
+/// What was measured with a frame, looked at when it is needed: of most frames nobody asks for it.
 pub(crate) type LaterMeasured = LazyLock<MeasuredDepth, Box<dyn FnOnce() -> MeasuredDepth + Send>>;
 
 /// A frame with its pyramid.

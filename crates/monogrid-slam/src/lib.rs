@@ -44,7 +44,7 @@ pub use config::{
     ReactivationConfig, RefinementConfig, SlamConfig, SlamError,
 };
 pub use fragments::{Agreement, Bridge, Fragment, FragmentConfig, Join, Meeting, MergeConfig};
-pub use frame::FrameInput;
+pub use frame::{DepthInput, FrameInput};
 pub use graph::{
     DriftConfig, EdgeKind, GraphConfig, GraphStats, PlaceMethod, PlaceRecognitionConfig,
     PlacesError,

@@ -2,7 +2,7 @@
 
 use crate::KeyframeCamera;
 use crate::SlamConfig;
-use crate::frame::{BufferedFrame, Frame, FrameInput, LaterMeasured};
+use crate::frame::{BufferedFrame, DepthInput, Frame, FrameInput, LaterMeasured};
 use crate::view::NUM_LEVELS;
 use monogrid_alignment::Target;
 use monogrid_depth::{HostFrame, MeasuredDepth};
@@ -47,17 +47,32 @@ impl Setup {
 
     /// A frame as tracking needs it.
     pub(crate) fn frame(&self, input: FrameInput) -> Frame {
-        let is_usable = |depth: &GrayImage| depth.same_size(&input.image);
-        let depth = input.depth.filter(is_usable);
-        let sigma = self.config.depth_camera.sigma;
-        let measured = depth.map(|depth| {
-            let look = move || MeasuredDepth::new(&depth, sigma);
-            Arc::new(LaterMeasured::new(Box::new(look)))
-        });
+        let size = (input.image.width(), input.image.height());
+        let depth = input.depth.filter(|depth| depth.size() == size);
+        let frame = self.frame_of((input.index, input.timestamp_ns), input.image);
         Frame {
-            measured,
-            ..self.frame_of((input.index, input.timestamp_ns), input.image)
+            measured: depth.map(|depth| self.measured(depth, &frame)),
+            ..frame
         }
+    }
+
+    /// What says how far the pixels of a frame are, as it is looked at when it is needed.
+    fn measured(&self, depth: DepthInput, frame: &Frame) -> Arc<LaterMeasured> {
+        let (pinhole, sigma) = (self.pinhole, self.config.depth_camera.sigma);
+        let look: Box<dyn FnOnce() -> MeasuredDepth + Send> = match depth {
+            DepthInput::Measured(depth) => Box::new(move || MeasuredDepth::new(&depth, sigma)),
+            DepthInput::SecondImage {
+                image,
+                second_from_first,
+            } => {
+                let pyramid = Arc::clone(&frame.pyramid);
+                Box::new(move || {
+                    let pair = [pyramid.level(0), &image];
+                    MeasuredDepth::of_pair(pair, &pinhole, &second_from_first)
+                })
+            }
+        };
+        Arc::new(LaterMeasured::new(look))
     }
 
     /// A frame that waited for the first keyframe.

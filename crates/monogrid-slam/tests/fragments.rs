@@ -63,7 +63,10 @@ fn video<'a>(images: impl Iterator<Item = &'a GrayImage>) -> Vec<FrameInput> {
             index,
             timestamp_ns: index as i64 * INTERVAL_NS,
             image: image.clone(),
-            depth: (index == 0).then(|| world().sequence.depth(0)).flatten(),
+            depth: (index == 0)
+                .then(|| world().sequence.depth(0))
+                .flatten()
+                .map(Into::into),
         })
         .collect()
 }
@@ -307,7 +310,7 @@ fn the_map_is_the_largest_fragment_in_the_end() {
     assert_eq!(again.fragments().len(), 1);
 
     // a first map in metres stays the map
-    inputs[0].depth = world().sequence.depth(0);
+    inputs[0].depth = world().sequence.depth(0).map(Into::into);
     let mut slam = system();
     run(&mut slam, &inputs);
     slam.finish();

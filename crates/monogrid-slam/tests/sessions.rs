@@ -35,7 +35,10 @@ fn world() -> &'static World {
                 index,
                 timestamp_ns: frame.timestamp_ns,
                 image: frame.image,
-                depth: (index == 0).then(|| sequence.depth(0)).flatten(),
+                depth: (index == 0)
+                    .then(|| sequence.depth(0))
+                    .flatten()
+                    .map(Into::into),
             });
         }
         World {

@@ -7,8 +7,8 @@ use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evalu
 use monogrid_geometry::{Rng, Se3, Vec2, Vec3, rotation_exp};
 use monogrid_image::{GrayImage, Mask, bilinear};
 use monogrid_slam::{
-    DepthPixel, FrameInput, FrameReport, InitializationMode, KeptKeyframe, LostReason, Scale, Slam,
-    SlamConfig, TrackingState,
+    DepthInput, DepthPixel, FrameInput, FrameReport, InitializationMode, KeptKeyframe, LostReason,
+    Scale, Slam, SlamConfig, TrackingState,
 };
 use monogrid_worlds::SynthSequence;
 use std::sync::OnceLock;
@@ -79,7 +79,7 @@ fn evaluate(slam: &Slam) -> TrajectoryReport {
 
 fn with_seed_depth() -> Vec<FrameInput> {
     let mut inputs = clip().inputs.clone();
-    inputs[0].depth = clip().sequence.depth(0);
+    inputs[0].depth = clip().sequence.depth(0).map(Into::into);
     inputs
 }
 
@@ -146,7 +146,7 @@ fn with_depth_camera(has_depth: impl Fn(usize) -> bool) -> Vec<FrameInput> {
         let depth = clip().sequence.depth(k).unwrap();
         let mut random = Rng::new(k as u64);
         let mut uniform = || (random.next_u64() >> 40) as f32 / (1u32 << 24) as f32;
-        inputs[k].depth = Some(depth.map(|z| {
+        inputs[k].depth = Some(DepthInput::Measured(depth.map(|z| {
             let normal = (0..12).map(|_| uniform()).sum::<f32>() - 6.0;
             let is_hole = uniform() < 0.02;
             if is_hole {
@@ -154,7 +154,7 @@ fn with_depth_camera(has_depth: impl Fn(usize) -> bool) -> Vec<FrameInput> {
             } else {
                 z + 0.0014 * z * z * normal
             }
-        }));
+        })));
     }
     inputs
 }
@@ -225,7 +225,7 @@ fn a_camera_that_only_turns_is_tracked_with_depth() {
             index: k,
             timestamp_ns: k as i64 * 33_333_333,
             image,
-            depth: Some(depth),
+            depth: Some(depth.into()),
         });
         assert_eq!(report.state, TrackingState::Good, "frame {k}");
         let pose = report.world_from_camera.unwrap();
@@ -394,7 +394,10 @@ fn a_kidnapped_camera_is_recognised_at_an_old_keyframe() {
                 index,
                 timestamp_ns: frame.timestamp_ns,
                 image: frame.image,
-                depth: (k == 0).then(|| sequence.depth(0)).flatten(),
+                depth: (k == 0)
+                    .then(|| sequence.depth(0))
+                    .flatten()
+                    .map(Into::into),
             }
         })
         .collect();
@@ -556,7 +559,10 @@ fn back_and_forth(ways: usize) -> Vec<FrameInput> {
             index,
             timestamp_ns: index as i64 * 100_000_000,
             image: frames[source_of(index)].clone(),
-            depth: (index == 0).then(|| sequence.depth(0)).flatten(),
+            depth: (index == 0)
+                .then(|| sequence.depth(0))
+                .flatten()
+                .map(Into::into),
         })
         .collect()
 }

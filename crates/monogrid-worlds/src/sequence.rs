@@ -8,7 +8,7 @@ use super::world::World;
 use super::worlds::{
     Motion, WorldError, mover_pose, mover_world, path_of, traffic, traffic_worlds,
 };
-use monogrid_geometry::{Camera, CameraError, Distortion, Pinhole, Se3};
+use monogrid_geometry::{Camera, CameraError, Distortion, Pinhole, Se3, Vec3, mix};
 use monogrid_image::GrayImage;
 use std::sync::Arc;
 
@@ -68,6 +68,9 @@ impl SynthConfig {
 /// Frames of the demonstration.
 pub const DEMO_FRAMES: usize = 1500;
 
+/// Makes another seed of that of the first camera.
+const SECOND_CAMERA: u64 = 0x5EC0;
+
 /// Instants that are averaged over the open shutter.
 const BLUR_SAMPLES: usize = 5;
 
@@ -101,6 +104,8 @@ pub struct SynthSequence {
     /// Cars that drive through the world.
     traffic: Arc<Vec<World>>,
     path: CameraPath,
+    /// Where the camera is beside what moves along the path, m to the right.
+    right_m: f64,
     renderer: Renderer,
     sensor: Sensor,
     config: SynthConfig,
@@ -126,6 +131,7 @@ impl SynthSequence {
             world,
             mover,
             path,
+            right_m: 0.0,
             renderer: Renderer::new(&config.camera, config.effects.gamma),
             kept: (0..config.frames).filter(|&i| sensor.is_kept(i)).collect(),
             sensor,
@@ -190,6 +196,17 @@ impl SynthSequence {
         Self::built_in_with("living-room", Carrier::Hand, SynthConfig::small(), &quick)
     }
 
+    /// The same frames as a second camera sees them, so many metres to the right of the first: with
+    /// noise and exposure of its own.
+    #[must_use]
+    pub fn beside(&self, right_m: f64) -> Self {
+        Self {
+            right_m: self.right_m + right_m,
+            sensor: Sensor::new(self.config.effects, mix(self.config.seed ^ SECOND_CAMERA)),
+            ..self.clone()
+        }
+    }
+
     /// The beginning of the same sequence.
     #[must_use]
     pub fn shortened(mut self, frames: usize) -> Self {
@@ -242,7 +259,7 @@ impl SynthSequence {
             index,
             timestamp_ns: self.timestamp_ns(k)?,
             image: self.sensor.expose(&self.radiance(secs), index, secs),
-            world_from_camera: self.path.world_from_camera(secs),
+            world_from_camera: self.pose(secs),
         })
     }
 
@@ -263,13 +280,23 @@ impl SynthSequence {
     /// True pose of the `k`-th frame; `None` after the last.
     #[must_use]
     pub fn world_from_camera(&self, k: usize) -> Option<Se3> {
-        Some(self.path.world_from_camera(self.secs(k)?))
+        Some(self.pose(self.secs(k)?))
     }
 
     /// Time of the `k`-th frame, ns; `None` after the last.
     #[must_use]
     pub fn timestamp_ns(&self, k: usize) -> Option<i64> {
         Some((self.secs(k)? * 1e9).round() as i64)
+    }
+
+    /// Pose of the camera at a time.
+    fn pose(&self, secs: f64) -> Se3 {
+        let mut world_from_camera = self.path.world_from_camera(secs);
+        if self.right_m != 0.0 {
+            let right = Vec3::new(self.right_m, 0.0, 0.0);
+            world_from_camera.translation += world_from_camera.rotation * right;
+        }
+        world_from_camera
     }
 
     fn secs(&self, k: usize) -> Option<f64> {
@@ -304,12 +331,12 @@ impl SynthSequence {
     fn row_poses(&self, secs: f64) -> Vec<Se3> {
         let readout_secs = self.config.effects.readout_secs;
         if readout_secs <= 0.0 {
-            return vec![self.path.world_from_camera(secs)];
+            return vec![self.pose(secs)];
         }
         let height = self.config.camera.height;
         let pose = |row| {
             let part = (row as f64 + 0.5) / height as f64 - 0.5;
-            self.path.world_from_camera(secs + part * readout_secs)
+            self.pose(secs + part * readout_secs)
         };
         (0..height).map(pose).collect()
     }

@@ -8,7 +8,7 @@ use monogrid_datasets::{
     Calibration, DatasetError, TimedPose, encode_png, encode_png_16, format_seconds,
     write_atomically, write_atomically_with, write_imu, write_tum,
 };
-use monogrid_geometry::{Camera, Distortion};
+use monogrid_geometry::{Camera, Distortion, Pinhole};
 use monogrid_image::GrayImage;
 use rayon::prelude::*;
 use std::fmt::Write as _;
@@ -16,12 +16,14 @@ use std::io::Write as _;
 use std::path::Path;
 
 /// What is written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WriteConfig {
     /// A depth image with every n-th frame; 0 for none. Default 1.
     pub depth_every: usize,
     /// Whether the mesh of the world is written too. Default yes.
     pub with_mesh: bool,
+    /// How far to the right of the first camera a second one is, m; 0 for none. Default 0.
+    pub baseline_m: f64,
 }
 
 impl Default for WriteConfig {
@@ -29,11 +31,14 @@ impl Default for WriteConfig {
         Self {
             depth_every: 1,
             with_mesh: true,
+            baseline_m: 0.0,
         }
     }
 }
 
-/// Writes `rgb/`, `depth/`, their lists, `groundtruth.txt`, both calibrations and `mesh.ply`.
+/// Writes `rgb/`, `depth/`, their lists, `groundtruth.txt`, both calibrations and `mesh.ply`. The
+/// images of two cameras are in `image_0/` and `image_1/`, and KITTI's `calib.txt` says how far
+/// these are apart; it does not hold for a lens.
 ///
 /// `progress` is called after each frame with the number of frames done.
 ///
@@ -45,7 +50,12 @@ pub fn write_tum_layout(
     config: &WriteConfig,
     mut progress: impl FnMut(usize),
 ) -> Result<(), DatasetError> {
-    for sub in ["rgb", "depth"] {
+    let second = (config.baseline_m > 0.0).then(|| sequence.beside(config.baseline_m));
+    let images = match &second {
+        Some(_) => ["image_0", "image_1", "depth"].as_slice(),
+        None => &["rgb", "depth"],
+    };
+    for sub in images {
         let path = folder.join(sub);
         std::fs::create_dir_all(&path).map_err(|e| DatasetError::io("create", &path, e))?;
     }
@@ -59,7 +69,9 @@ pub fn write_tum_layout(
         let depth = has_depth.then(|| sequence.depth_through(&depth_renderer, k));
         let depth = depth.flatten();
         let depth = depth.map(|depth| encode_png_16(&encode_depth(&depth, units_per_m)));
-        Some((frame, image, depth))
+        let second = second.as_ref().and_then(|second| second.frame(k));
+        let second = second.map(|frame| encode_png(&frame.image.map(|v| v as u8)));
+        Some((frame, image, second, depth))
     };
     if config.with_mesh {
         write_ply(&folder.join("mesh.ply"), &sequence.world().mesh())?;
@@ -70,12 +82,16 @@ pub fn write_tum_layout(
     for first in (0..sequence.len()).step_by(CHUNK) {
         let last = (first + CHUNK).min(sequence.len());
         let frames: Vec<_> = (first..last).into_par_iter().filter_map(coded).collect();
-        for (frame, image, depth) in frames {
+        for (frame, image, second, depth) in frames {
             let time = format_seconds(frame.timestamp_ns);
-            let name = format!("rgb/{:06}.png", frame.index);
+            let name = format!("{}/{:06}.png", images[0], frame.index);
             write_atomically(&folder.join(&name), &image)?;
             // writing into a string cannot fail
             let _ = writeln!(colour_list, "{time} {name}");
+            if let Some(second) = second {
+                let name = format!("{}/{:06}.png", images[1], frame.index);
+                write_atomically(&folder.join(&name), &second)?;
+            }
             if let Some(depth) = depth {
                 let name = format!("depth/{:06}.png", frame.index);
                 write_atomically(&folder.join(&name), &depth)?;
@@ -87,6 +103,10 @@ pub fn write_tum_layout(
             });
             progress(poses.len());
         }
+    }
+    if second.is_some() {
+        let text = projections(&sequence.config().camera.pinhole, config.baseline_m);
+        write_text(folder, "calib.txt", &text)?;
     }
     write_text(folder, "rgb.txt", &colour_list)?;
     write_text(folder, "depth.txt", &depth_list)?;
@@ -121,6 +141,15 @@ const CHUNK: usize = 8;
 
 fn write_text(folder: &Path, name: &str, text: &str) -> Result<(), DatasetError> {
     write_atomically(&folder.join(name), text.as_bytes())
+}
+
+/// KITTI's projection matrices of two cameras in a row.
+fn projections(pinhole: &Pinhole, baseline_m: f64) -> String {
+    let Pinhole { fx, fy, cx, cy } = pinhole;
+    let row = |camera: usize, offset: f64| {
+        format!("P{camera}: {fx} 0 {cx} {offset} 0 {fy} {cy} 0 0 0 1 0\n")
+    };
+    row(0, 0.0) + &row(1, -fx * baseline_m)
 }
 
 /// Finest of the usual units (5000, 2000, 1000, ... per metre) in which the longest line of sight

@@ -533,6 +533,7 @@ fn a_written_sequence_is_read_back() {
     let config = WriteConfig {
         depth_every: 2,
         with_mesh: true,
+        ..WriteConfig::default()
     };
     let mut done = 0;
     write_tum_layout(&sequence, folder.path(), &config, |k| done = k).unwrap();

@@ -45,6 +45,7 @@ fn small_sequence() -> &'static Path {
         let config = WriteConfig {
             depth_every: 5,
             with_mesh: false,
+            ..WriteConfig::default()
         };
         write_tum_layout(&sequence, folder.path(), &config, |_| {}).unwrap();
         folder

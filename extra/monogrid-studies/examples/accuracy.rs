@@ -65,7 +65,7 @@ fn track(slam: &mut Slam, sequence: &Sequence, options: &Options) -> Vec<Stamped
             index: entry.index,
             timestamp_ns: entry.timestamp_ns,
             image: sequence.image(at),
-            depth: seed_depth.flatten(),
+            depth: seed_depth.flatten().map(Into::into),
         });
         counts[report.state as usize] += 1;
         let stages = report.milliseconds;

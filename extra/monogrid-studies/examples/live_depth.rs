@@ -56,7 +56,8 @@ fn main() {
             image: sequence.image(frame),
             depth: is_first
                 .then(|| sequence.true_depth(entry.timestamp_ns))
-                .flatten(),
+                .flatten()
+                .map(Into::into),
         });
         let started = Instant::now();
         hear(&mut live, &slam, &camera);

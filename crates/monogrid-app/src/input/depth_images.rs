@@ -1,39 +1,84 @@
-//! Depth images beside a source: their calibration, and depth in the camera of the working images.
+//! What says how far the pixels of frames are: depth images, or the images of a second camera.
 
 use crate::input::{Images, Input};
 use crate::process::failure::{Classify, Failure};
-use monogrid_datasets::{Dataset, DepthCalibration, DepthRegistration, FrameEntry, read_depth};
-use monogrid_geometry::Camera;
-use monogrid_image::GrayImage;
+use monogrid_datasets::{
+    Dataset, DepthCalibration, DepthRegistration, FrameEntry, read_depth, read_gray,
+};
+use monogrid_geometry::{Camera, Se3};
+use monogrid_image::{GrayImage, Undistorter};
 use monogrid_pipeline::{SourceFrame, Unusable};
+use monogrid_slam::DepthInput;
 use std::path::{Path, PathBuf};
 
-/// Depth images of frames: those of all that have one, or of the first alone.
+/// Depth images or second images of frames: those of all that have one, or of the first alone.
 #[derive(Clone, Debug)]
 pub struct FrameDepths {
     /// Numbers of the frames, ascending, and the images.
     files: Vec<(usize, PathBuf)>,
-    calibration: DepthCalibration,
-    registration: DepthRegistration,
+    reader: Reader,
+}
+
+/// How an image is brought into the camera of the working images.
+#[derive(Clone, Debug)]
+enum Reader {
+    Depth {
+        calibration: DepthCalibration,
+        registration: DepthRegistration,
+    },
+    Stereo {
+        undistorter: Undistorter,
+        second_from_first: Se3,
+    },
+}
+
+impl Reader {
+    fn depth(input: &Input, calibration: DepthCalibration) -> Self {
+        let (width, height) = input.size();
+        Self::Depth {
+            registration: DepthRegistration::new(&calibration, input.pinhole(), width, height),
+            calibration,
+        }
+    }
+
+    fn read(&self, path: &Path) -> Result<DepthInput, Failure> {
+        match self {
+            Self::Depth {
+                calibration,
+                registration,
+            } => registered_depth(path, calibration, registration).map(DepthInput::Measured),
+            Self::Stereo {
+                undistorter,
+                second_from_first,
+            } => {
+                let image = read_gray(path).bad_input()?;
+                let undistorted = undistorter.apply(&image).ok_or_else(|| {
+                    let expected = undistorter.input();
+                    Failure::input(format!(
+                        "{} is {}x{} pixels, the calibration of the second camera is for {}x{}",
+                        path.display(),
+                        image.width(),
+                        image.height(),
+                        expected.width,
+                        expected.height
+                    ))
+                });
+                Ok(DepthInput::SecondImage {
+                    image: undistorted?,
+                    second_from_first: *second_from_first,
+                })
+            }
+        }
+    }
 }
 
 impl FrameDepths {
     /// Of these images; an error if the first cannot be used, `None` if there is none.
-    fn new(
-        input: &Input,
-        files: Vec<(usize, PathBuf)>,
-        calibration: DepthCalibration,
-    ) -> Result<Option<Self>, Failure> {
-        let (width, height) = input.size();
-        let depths = Self {
-            files,
-            calibration,
-            registration: DepthRegistration::new(&calibration, input.pinhole(), width, height),
-        };
-        match depths.files.first() {
+    fn new(files: Vec<(usize, PathBuf)>, reader: Reader) -> Result<Option<Self>, Failure> {
+        match files.first() {
             Some((_, path)) => {
-                depths.depth(path)?;
-                Ok(Some(depths))
+                reader.read(path)?;
+                Ok(Some(Self { files, reader }))
             }
             None => Ok(None),
         }
@@ -46,7 +91,8 @@ impl FrameDepths {
         calibration: DepthCalibration,
     ) -> Result<Option<Self>, Failure> {
         let first = input.frames.first().map_or(0, |frame| frame.index);
-        Self::new(input, vec![(first, path.to_owned())], calibration)
+        let reader = Reader::depth(input, calibration);
+        Self::new(vec![(first, path.to_owned())], reader)
     }
 
     /// Those that a data set has for frames to use: at most so many.
@@ -64,7 +110,27 @@ impl FrameDepths {
         };
         let files = input.frames.iter().filter_map(file).take(at_most).collect();
         let calibration = depth_calibration(dataset, calibration, input.camera())?;
-        Self::new(input, files, calibration)
+        Self::new(files, Reader::depth(input, calibration))
+    }
+
+    /// The images of the second camera of a stereo pair that a data set has for frames to use, with
+    /// the calibration of the pair, if that does not lie there.
+    pub fn of_stereo(input: &Input, calibration: Option<&Path>) -> Result<Option<Self>, Failure> {
+        let Images::Files(dataset) = &input.images else {
+            return Ok(None);
+        };
+        let first = input.camera();
+        let size = (first.width, first.height);
+        let Some(second) = dataset.second_camera(calibration, size).bad_input()? else {
+            return Ok(None);
+        };
+        let file = |frame: &FrameEntry| Some((frame.index, dataset.second_image(frame)?));
+        let files = input.frames.iter().filter_map(file).collect();
+        let reader = Reader::Stereo {
+            undistorter: Undistorter::onto(&second.camera, *input.pinhole(), input.size()),
+            second_from_first: second.second_from_first,
+        };
+        Self::new(files, reader)
     }
 
     /// How many there are.
@@ -83,14 +149,10 @@ impl FrameDepths {
             .files
             .binary_search_by_key(&frame.index, |(index, _)| *index);
         let depth = found.ok().map(|at| {
-            let depth = self.depth(&self.files[at].1);
+            let depth = self.reader.read(&self.files[at].1);
             depth.map_err(|failure| Unusable::Unreadable(failure.into_error().to_string()))
         });
         SourceFrame { depth, ..frame }
-    }
-
-    fn depth(&self, path: &Path) -> Result<GrayImage, Failure> {
-        registered_depth(path, &self.calibration, &self.registration)
     }
 }
 

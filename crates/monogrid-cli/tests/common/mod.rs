@@ -93,6 +93,7 @@ pub fn write_images(sequence: &SynthSequence, folder: &Path) {
     let config = WriteConfig {
         depth_every: 0,
         with_mesh: false,
+        ..WriteConfig::default()
     };
     write_tum_layout(sequence, folder, &config, |_| {}).unwrap();
 }
@@ -107,6 +108,7 @@ pub fn small_sequence() -> &'static Path {
         let config = WriteConfig {
             depth_every: 5,
             with_mesh: false,
+            ..WriteConfig::default()
         };
         write_tum_layout(&sequence, &folder, &config, |_| {}).unwrap();
         folder

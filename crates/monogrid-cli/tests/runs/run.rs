@@ -12,7 +12,9 @@ use monogrid_datasets::{
 };
 use monogrid_geometry::Vec3;
 use monogrid_occupancy::{Occupancy, read_ot};
-use monogrid_worlds::{EffectsConfig, ImuConfig, SynthConfig, write_sequence_imu};
+use monogrid_worlds::{
+    EffectsConfig, ImuConfig, SynthConfig, WriteConfig, write_sequence_imu, write_tum_layout,
+};
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -587,6 +589,67 @@ fn a_depth_camera_is_used_with_every_frame_that_has_a_depth_image_that_can_be_re
         let [a, b] = [&one, &two].map(|out| fs::read(out.join(name)).unwrap());
         assert!(a == b, "{name}");
     }
+}
+
+#[test]
+fn a_stereo_pair_starts_with_the_first_frame_and_gives_metres() {
+    let dir = tempfile::tempdir().unwrap();
+    let source = dir.path().join("room");
+    fs::create_dir(&source).unwrap();
+    let sequence = room(SynthConfig::small()).shortened(60);
+    let config = WriteConfig {
+        depth_every: 0,
+        with_mesh: false,
+        baseline_m: 0.15,
+    };
+    write_tum_layout(&sequence, &source, &config, |_| {}).unwrap();
+    let check = monogrid(["check".into(), source.display().to_string()]);
+    let said = String::from_utf8_lossy(&check.stdout).into_owned();
+    assert!(
+        said.contains("60 of the frames have a second image"),
+        "{said}"
+    );
+    let run = |out: &str, threads: &str| {
+        let out = dir.path().join(out);
+        let paths = [
+            "run".as_ref(),
+            source.as_os_str(),
+            "--out".as_ref(),
+            out.as_os_str(),
+        ];
+        let more = ["--stereo", "--threads", threads, "--json"];
+        let output = program().args(paths).args(more).output().unwrap();
+        (out, output)
+    };
+    let (one, output) = run("one", "1");
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let summary = json(&output);
+    assert_eq!(
+        (summary["scale"].as_str(), summary["tracked"].as_u64()),
+        (Some("metric"), Some(60))
+    );
+    assert_eq!(
+        summary["measured_keyframes"], summary["keyframes"],
+        "{summary}"
+    );
+    // the way between two frames, in metres
+    let [found, truth] = [one.join("trajectory.txt"), source.join("groundtruth.txt")].map(|path| {
+        let poses = read_trajectory(&path).unwrap();
+        assert_eq!(poses.len(), 60);
+        let place = |k: usize| poses[k].world_from_camera.translation;
+        (place(59) - place(0)).norm()
+    });
+    assert!((found / truth - 1.0).abs() < 0.03, "{found} of {truth} m");
+    let (two, _) = run("two", "2");
+    for name in ["trajectory.txt", "recording.mgk", "global.ot"] {
+        let [a, b] = [&one, &two].map(|out| fs::read(out.join(name)).unwrap());
+        assert!(a == b, "{name}");
+    }
+    // one that cannot be used ends the run at once
+    fs::write(source.join("image_1/000000.png"), b"no image").unwrap();
+    assert_fails(&run("none", "1").1, 3, &["000000.png"]);
+    fs::remove_dir_all(source.join("image_1")).unwrap();
+    assert_fails(&run("none", "1").1, 3, &["second image", "cam0 and cam1"]);
 }
 
 /// Starts a run and waits until its recording is a few keyframes long.

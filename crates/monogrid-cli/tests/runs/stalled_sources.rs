@@ -156,11 +156,27 @@ fn interrupt(mut child: Child) -> Output {
     output
 }
 
-/// Waits until everything that a stalled source has shown is tracked. A run does not say when: it
-/// has a folder by then.
-fn wait_for_frames(run: &Run) {
+/// Waits until everything that a stalled source has shown is tracked: the run has a folder by then,
+/// and computes no more.
+fn wait_for_frames(run: &Run, child: &Child) {
     wait_until("the run to begin", || run.path("out/config.toml").exists());
-    std::thread::sleep(Duration::from_secs(3));
+    let (mut cpu, mut since) = (cpu_secs(child), Instant::now());
+    wait_until("the run to wait for frames", || {
+        let now = cpu_secs(child);
+        if now != cpu {
+            (cpu, since) = (now, Instant::now());
+        }
+        since.elapsed() > Duration::from_secs(3)
+    });
+}
+
+/// CPU time that a process has used, in whole seconds, as `ps` says it.
+fn cpu_secs(child: &Child) -> String {
+    let pid = child.id().to_string();
+    let output = Command::new("ps")
+        .args(["-o", "time=", "-p", &pid])
+        .output();
+    String::from_utf8(output.unwrap().stdout).unwrap()
 }
 
 /// What is saved of a run that was interrupted when it had seen all frames.
@@ -220,7 +236,7 @@ fn standard_input_that_stalls_is_interrupted() {
         }
         stdin.flush().unwrap();
         if frames > 0 {
-            wait_for_frames(&run);
+            wait_for_frames(&run, &child);
             interrupt(child);
             assert_saved(&run);
         } else {
@@ -250,7 +266,7 @@ fn a_named_pipe_is_read_and_interrupted() {
     let child = run.command("camera.y4m", &["--fov", "60"]).spawn().unwrap();
     let mut writer = fs::OpenOptions::new().write(true).open(&pipe).unwrap();
     writer.write_all(&y4m(FRAMES)).unwrap();
-    wait_for_frames(&run);
+    wait_for_frames(&run, &child);
     interrupt(child);
     assert_saved(&run);
     drop(writer);
@@ -270,7 +286,7 @@ fn http_that_drips_is_interrupted_in_every_state() {
         let child = run.command(&address, &["--fov", "60", "--source-timeout", "0"]);
         let child = { child }.spawn().unwrap();
         if frames > 0 {
-            wait_for_frames(&run);
+            wait_for_frames(&run, &child);
             interrupt(child);
             assert_saved(&run);
         } else {

@@ -24,9 +24,11 @@ mod colmap;
 mod document;
 mod kitti;
 mod lines;
+mod pair;
 mod photometric;
 mod toml_format;
 
+pub use pair::SecondCamera;
 pub use photometric::{read_photometric, read_response, read_vignette};
 
 use crate::DatasetError;

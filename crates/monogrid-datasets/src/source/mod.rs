@@ -11,6 +11,7 @@ mod kinds;
 mod list;
 mod natural;
 mod reference;
+mod stereo;
 mod tum;
 
 pub use natural::natural_order;

@@ -13,5 +13,6 @@ mod recording;
 mod register;
 mod scans;
 mod sources;
+mod stereo;
 mod submaps;
 mod trajectory;

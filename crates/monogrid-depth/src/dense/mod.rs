@@ -10,6 +10,7 @@
 
 mod aggregate;
 mod agree;
+mod pair;
 mod sweep;
 mod warp;
 mod winner;
@@ -30,6 +31,8 @@ const BEYOND_SEEDS: [f64; 2] = [0.7, 1.4];
 const MIN_PLANES: usize = 24;
 /// Smallest image that is swept, px of the half image.
 const MIN_EDGE_PX: usize = 16;
+/// Depths of the half image that differ by less than this share are interpolated.
+const ONE_SURFACE: f32 = 0.03;
 
 /// Settings of [`dense_depth`] and [`DenseDepth::agreed`].
 #[derive(Clone, Debug, PartialEq)]
@@ -76,6 +79,33 @@ impl DenseDepth {
         Self {
             idepth: Image::filled(width, height, 0.0),
             sigma: Image::filled(width, height, 0.0),
+        }
+    }
+
+    /// Inverse depth of a pixel of the full image: between the four nearest of the half image where
+    /// these are of one surface, else that of the nearest; `None` where that is unknown.
+    #[must_use]
+    pub fn at_full_size(&self, x: usize, y: usize) -> Option<f32> {
+        let half = &self.idepth;
+        // the middle of a pixel of the half image lies between four of the full one
+        let beside = |at: usize, size: usize| match at % 2 {
+            0 => (at / 2).saturating_sub(1),
+            _ => (at / 2 + 1).min(size - 1),
+        };
+        let nearest = half.at(x / 2, y / 2);
+        let (column, row) = (beside(x, half.width()), beside(y, half.height()));
+        let others = [
+            half.at(column, y / 2),
+            half.at(x / 2, row),
+            half.at(column, row),
+        ];
+        let is_one = |d: &f32| (d / nearest - 1.0).abs() < ONE_SURFACE;
+        if nearest <= 0.0 {
+            None
+        } else if others.iter().all(is_one) {
+            Some(0.5625 * nearest + 0.1875 * (others[0] + others[1]) + 0.0625 * others[2])
+        } else {
+            Some(nearest)
         }
     }
 }

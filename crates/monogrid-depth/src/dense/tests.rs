@@ -2,7 +2,8 @@ use super::aggregate::aggregate;
 use super::sweep::GREY_SIGMA;
 use super::warp::{padded, warp_row, warp_row_with};
 use super::*;
-use monogrid_geometry::{Rotation, Sim3, Vec2, Vec3};
+use crate::MeasuredDepth;
+use monogrid_geometry::{Rotation, Se3, Sim3, Vec2, Vec3};
 use monogrid_image::lanes::Baseline;
 
 const WIDTH: usize = 128;
@@ -27,13 +28,17 @@ fn depth_of_ray(ray: &Vec3, eye_x: f64, has_square: bool) -> f64 {
 fn picture(eye_x: f64, has_square: bool) -> Image<u8> {
     Image::from_fn(WIDTH, HEIGHT, |u, v| {
         let ray = CAMERA.unproject(&Vec2::new(u as f64, v as f64));
-        let z = depth_of_ray(&ray, eye_x, has_square);
-        let (x, y) = (eye_x + z * ray.x, z * ray.y);
-        let grey = 128.0
-            + 45.0 * (21.0 * x + 7.0 * y + 9.0 * z).sin()
-            + 45.0 * (15.0 * x - 19.0 * y - 4.0 * z).cos();
-        grey as u8
+        grey_of(eye_x, &ray, depth_of_ray(&ray, eye_x, has_square))
     })
+}
+
+/// The grey level of the point that the ray of a camera meets at this depth.
+fn grey_of(eye_x: f64, ray: &Vec3, z: f64) -> u8 {
+    let (x, y) = (eye_x + z * ray.x, z * ray.y);
+    let grey = 128.0
+        + 45.0 * (21.0 * x + 7.0 * y + 9.0 * z).sin()
+        + 45.0 * (15.0 * x - 19.0 * y - 4.0 * z).cos();
+    grey as u8
 }
 
 /// Depths over the range of the scene.
@@ -363,4 +368,107 @@ fn without_sources_or_depths_around_which_to_look_there_is_none() {
         source_from_keyframe: at(0.1),
     };
     assert!(dense_depth(&image, &CAMERA, &seeds()[..50], &[source], &config).is_none());
+}
+
+#[test]
+fn slanted_depth_is_interpolated_and_edges_stay() {
+    let of = |idepth| DenseDepth {
+        sigma: Image::filled(50, 40, 0.01),
+        idepth,
+    };
+    let slanted = of(Image::from_fn(50, 40, |x, _| 1.0 + 0.01 * x as f32));
+    // the middle of pixel 10 of the half image is at 20.5 of the full one
+    for (x, expected) in [(20, 1.0975), (21, 1.1025)] {
+        let found = slanted.at_full_size(x, 30).unwrap();
+        assert!((found - expected).abs() < 1e-5, "{x}: {found}");
+    }
+    let edge = of(Image::from_fn(
+        50,
+        40,
+        |x, _| if x < 10 { 1.0 } else { 2.0 },
+    ));
+    assert_eq!(edge.at_full_size(19, 30), Some(1.0));
+    assert_eq!(edge.at_full_size(20, 30), Some(2.0));
+    assert_eq!(DenseDepth::unknown(50, 40).at_full_size(20, 30), None);
+}
+
+/// How far the second camera is to the right, m.
+const PAIR_BASELINE: f64 = 0.2;
+
+#[test]
+fn a_stereo_pair_measures_metres_from_its_baseline() {
+    let images = [0.0, PAIR_BASELINE].map(|eye| picture(eye, true).map(f32::from));
+    let pair = [&images[0], &images[1]];
+    let pose = Se3::new(Rotation::identity(), Vec3::new(-PAIR_BASELINE, 0.0, 0.0));
+    let measured = MeasuredDepth::of_pair(pair, &CAMERA, &pose);
+    // in disparities, px
+    let error = |pixel: &DepthPixel| {
+        let ray = CAMERA.unproject(&Vec2::new(pixel.x.into(), pixel.y.into()));
+        let truth = 1.0 / depth_of_ray(&ray, 0.0, true);
+        CAMERA.fx * PAIR_BASELINE * (f64::from(pixel.idepth) - truth)
+    };
+    let errors: Vec<f64> = measured.pixels(1.0).map(|pixel| error(&pixel)).collect();
+    assert!(errors.len() > WIDTH * HEIGHT / 2, "{}", errors.len());
+    let right = errors.iter().filter(|e| e.abs() < 0.5).count();
+    assert!(
+        right as f64 > 0.9 * errors.len() as f64,
+        "{right} of {}",
+        errors.len()
+    );
+    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+    assert!(mean.abs() < 0.05, "{mean}");
+    let stated = f64::from(measured.sigma()) * CAMERA.fx * PAIR_BASELINE;
+    assert!((0.1..1.0).contains(&stated), "{stated}");
+}
+
+#[test]
+fn a_second_camera_that_turns_sees_the_same_depth() {
+    let turn = Rotation::from_axis_angle(&Vec3::y_axis(), 0.05);
+    let images = [picture(0.0, false), turned(PAIR_BASELINE, &turn)].map(|i| i.map(f32::from));
+    let centre = Vec3::new(PAIR_BASELINE, 0.0, 0.0);
+    let second_from_first = Se3::new(turn.inverse(), -(turn.inverse() * centre));
+    let measured = MeasuredDepth::of_pair([&images[0], &images[1]], &CAMERA, &second_from_first);
+    let is_right = |pixel: &DepthPixel| {
+        let ray = CAMERA.unproject(&Vec2::new(pixel.x.into(), pixel.y.into()));
+        let truth = 1.0 / depth_of_ray(&ray, 0.0, false);
+        CAMERA.fx * PAIR_BASELINE * (f64::from(pixel.idepth) - truth).abs() < 0.5
+    };
+    let all = measured.pixels(1.0).count();
+    let right = measured.pixels(1.0).filter(is_right).count();
+    assert!(
+        all > WIDTH * HEIGHT / 2 && right as f64 > 0.9 * all as f64,
+        "{right} of {all}"
+    );
+}
+
+/// [`picture`] without the square, of a camera that is turned.
+fn turned(eye_x: f64, turn: &Rotation) -> Image<u8> {
+    Image::from_fn(WIDTH, HEIGHT, |u, v| {
+        let ray = turn * CAMERA.unproject(&Vec2::new(u as f64, v as f64));
+        let ray = ray / ray.z;
+        grey_of(eye_x, &ray, depth_of_ray(&ray, eye_x, false))
+    })
+}
+
+#[test]
+fn a_pair_says_nothing_where_it_can_say_nothing() {
+    let image = picture(0.0, true).map(f32::from);
+    let at_one_place = MeasuredDepth::of_pair([&image, &image], &CAMERA, &Se3::identity());
+    assert_eq!(at_one_place.pixels(1.0).count(), 0);
+    // what is as near as 40 px of disparity allow is seen, the same picture twice is infinitely far
+    let pose = Se3::new(Rotation::identity(), Vec3::new(-0.2, 0.0, 0.0));
+    let far = MeasuredDepth::of_pair([&image, &image], &CAMERA, &pose);
+    assert_eq!(far.pixels(1.0).count(), 0);
+    let small = GrayImage::filled(20, 20, 7.0);
+    assert_eq!(
+        MeasuredDepth::of_pair([&small, &small], &CAMERA, &pose)
+            .pixels(1.0)
+            .count(),
+        0
+    );
+    let other = MeasuredDepth::of_pair([&image, &small], &CAMERA, &pose);
+    assert_eq!(
+        (other.size(), other.pixels(1.0).count()),
+        ((WIDTH, HEIGHT), 0)
+    );
 }

@@ -21,8 +21,6 @@ const BORDER_PX: f64 = 8.0;
 const MIN_USEFULNESS: f64 = 0.1;
 /// How fast usefulness falls below and above the best angle, as shares of it.
 const ANGLE_WIDTHS: [f64; 2] = [0.5, 1.25];
-/// Depths of the half image that differ by less than this share are interpolated.
-const ONE_SURFACE: f32 = 0.03;
 
 /// What of the dense depth of one keyframe that of its neighbours confirms; `depth` is that of
 /// each, as it was matched.
@@ -127,7 +125,7 @@ pub(crate) fn merged(
     }
     for y in 0..2 * dense.idepth.height() {
         for x in 0..2 * dense.idepth.width() {
-            if let Some(idepth) = at_full_size(&dense.idepth, x, y) {
+            if let Some(idepth) = dense.at_full_size(x, y) {
                 let variance = dense.sigma.at(x / 2, y / 2).powi(2);
                 depths.set(x, y, fused(depths.at(x, y), idepth, variance));
             }
@@ -185,31 +183,6 @@ pub(crate) fn half_size(pixels: &[DepthPixel], camera: &KeyframeCamera) -> Dense
         }
     }
     half
-}
-
-/// Inverse depth of a pixel of the full image: between the four nearest of the half image where
-/// these are of one surface, else that of the nearest.
-fn at_full_size(half: &Image<f32>, x: usize, y: usize) -> Option<f32> {
-    // the middle of a pixel of the half image lies between four of the full one
-    let beside = |at: usize, size: usize| match at % 2 {
-        0 => (at / 2).saturating_sub(1),
-        _ => (at / 2 + 1).min(size - 1),
-    };
-    let nearest = half.at(x / 2, y / 2);
-    let (column, row) = (beside(x, half.width()), beside(y, half.height()));
-    let others = [
-        half.at(column, y / 2),
-        half.at(x / 2, row),
-        half.at(column, row),
-    ];
-    let is_one = |d: &f32| (d / nearest - 1.0).abs() < ONE_SURFACE;
-    if nearest <= 0.0 {
-        None
-    } else if others.iter().all(is_one) {
-        Some(0.5625 * nearest + 0.1875 * (others[0] + others[1]) + 0.0625 * others[2])
-    } else {
-        Some(nearest)
-    }
 }
 
 #[cfg(test)]
@@ -296,19 +269,5 @@ mod tests {
         assert!(at(20) > 0.5 && at(20) < 0.505 && (at(30) - 0.5).abs() < 1e-6);
         let filter = [pixel(20, 0.51)];
         assert_eq!(merged(&filter, &half(0.0), &CAMERA), filter);
-    }
-
-    #[test]
-    fn slanted_depth_is_interpolated_and_edges_stay() {
-        let slanted = Image::from_fn(50, 40, |x, _| 1.0 + 0.01 * x as f32);
-        // the middle of pixel 10 of the half image is at 20.5 of the full one
-        for (x, expected) in [(20, 1.0975), (21, 1.1025)] {
-            let found = at_full_size(&slanted, x, 30).unwrap();
-            assert!((found - expected).abs() < 1e-5, "{x}: {found}");
-        }
-        let edge = Image::from_fn(50, 40, |x, _| if x < 10 { 1.0 } else { 2.0 });
-        assert_eq!(at_full_size(&edge, 19, 30), Some(1.0));
-        assert_eq!(at_full_size(&edge, 20, 30), Some(2.0));
-        assert_eq!(at_full_size(&half(0.0).idepth, 20, 30), None);
     }
 }

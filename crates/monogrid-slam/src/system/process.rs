@@ -256,7 +256,7 @@ mod tests {
             index: k,
             timestamp_ns: (k * step) as i64 * 33_333_333,
             image: sequence.frame(step * k).unwrap().image,
-            depth: sequence.depth(k).filter(|_| k == 0),
+            depth: sequence.depth(k).filter(|_| k == 0).map(Into::into),
         }
     }
 

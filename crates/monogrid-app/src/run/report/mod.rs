@@ -155,7 +155,7 @@ fn scale(summary: &Summary) -> String {
     match measured {
         0 => summary.scale.to_owned(),
         _ => format!(
-            "{}: a depth camera measured {measured} of {all} keyframes",
+            "{}: the depth of {measured} of {all} keyframes was measured",
             summary.scale
         ),
     }

@@ -145,7 +145,8 @@ pub struct Summary {
     pub lost_episodes: usize,
     /// Finished keyframes.
     pub keyframes: usize,
-    /// Of these, those of which a depth camera measured the depth, and so the scale.
+    /// Of these, those of which a depth camera or a stereo pair measured the depth, and so the
+    /// scale.
     pub measured_keyframes: usize,
     /// Times that tracking went on with a keyframe that existed already instead of a new one.
     pub reactivated_keyframes: usize,

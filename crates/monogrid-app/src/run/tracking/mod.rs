@@ -27,11 +27,10 @@ use crate::run::tracking::progress::Progress;
 use crate::run::tracking::salvage::Salvage;
 use crate::run::tracking::tracked::{CpuTimes, EarlyEnd, Tracked};
 use monogrid_calibration::{CameraMotion, MotionWatch};
-use monogrid_image::GrayImage;
 use monogrid_pipeline::{
     Event, Pace, Pipeline, PipelineError, ReadFrame, ReadOn, Rectification, Unusable,
 };
-use monogrid_slam::{Effort, FrameInput, Slam, fault};
+use monogrid_slam::{DepthInput, Effort, FrameInput, Slam, fault};
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -192,12 +191,12 @@ impl<'a> Tracking<'a> {
         Some(due? + Duration::from_nanos(interval_ns as u64))
     }
 
-    /// What a depth camera measured with a frame; a frame of which that cannot be read has none.
+    /// What says how far the pixels of a frame are; a frame of which that cannot be read has none.
     fn measured(
         &mut self,
         index: usize,
-        depth: Option<Result<GrayImage, Unusable>>,
-    ) -> Option<GrayImage> {
+        depth: Option<Result<DepthInput, Unusable>>,
+    ) -> Option<DepthInput> {
         depth?
             .inspect_err(|reason| {
                 let said = format!("the depth of frame {index} is not used: {reason}");

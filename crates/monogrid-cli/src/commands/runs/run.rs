@@ -44,7 +44,7 @@ pub struct RunArgs {
     #[arg(
         long = "continue",
         value_name = "DIR",
-        conflicts_with_all = ["seed_depth", "depth"],
+        conflicts_with_all = ["seed_depth", "depth", "stereo"],
         help_heading = "Input"
     )]
     pub continue_from: Option<PathBuf>,
@@ -81,6 +81,14 @@ pub struct RunArgs {
         help_heading = "Input"
     )]
     pub depth: Option<DepthSource>,
+    /// Use the images of the second camera of a stereo pair, beside those of the first in the
+    /// layout of EuRoC or KITTI; makes the scale metric
+    #[arg(
+        long,
+        conflicts_with_all = ["seed_depth", "depth"],
+        help_heading = "Input"
+    )]
+    pub stereo: bool,
     /// Intrinsics and scale of depth images [default: calibration_depth.txt in the source]
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     pub depth_calibration: Option<PathBuf>,
@@ -261,6 +269,9 @@ fn alignment(args: &RunArgs, earlier: Option<&Earlier>) -> Result<Align, Failure
 fn open(args: &RunArgs, earlier: Option<&Earlier>, config: &RunConfig) -> Result<Input, Failure> {
     let Some(earlier) = earlier else {
         let mut input = open_source(args, args.input.clone(), config.working_size())?;
+        if args.stereo {
+            without_shutter(&mut input)?;
+        }
         // what is seen only once has no first pass
         let may_be_refined = args.input.fov.is_none() && input.is_repeatable();
         let is_own = input.own_calibration.is_some() && may_be_refined;
@@ -270,7 +281,7 @@ fn open(args: &RunArgs, earlier: Option<&Earlier>, config: &RunConfig) -> Result
                  for a first pass",
             ));
         }
-        if args.seed_depth.is_none() && args.depth.is_none() {
+        if args.seed_depth.is_none() && args.depth.is_none() && !args.stereo {
             let looked = abandonable("looking", move || {
                 input.motion = Motion::of(&input);
                 input
@@ -303,6 +314,9 @@ fn open_source(args: &RunArgs, how: SourceArgs, usual: WorkingSize) -> Result<In
 
 /// The depth of frames: of all that have some, or of the first.
 fn depths(input: &Input, args: &RunArgs) -> Result<Option<FrameDepths>, Failure> {
+    if args.stereo {
+        return stereo(input, args).map(Some);
+    }
     let calibration_file = args.depth_calibration.as_deref();
     let (option, at_most) = match (&args.seed_depth, args.depth) {
         (None, None) => return Ok(None),
@@ -329,6 +343,37 @@ fn depths(input: &Input, args: &RunArgs) -> Result<Option<FrameDepths>, Failure>
         }
     }
     Ok(depths)
+}
+
+/// A rolling shutter is taken out of the images of the first camera alone, which would then be of
+/// another time than those of the second: for a pair there is none, and none is looked for.
+fn without_shutter(input: &mut Input) -> Result<(), Failure> {
+    let readout_ms = input.preparation.readout_ms();
+    if readout_ms != 0.0 {
+        return Err(Failure::input(format!(
+            "--stereo: found a rolling shutter of {readout_ms} ms, expected cameras that read all \
+             rows at once (--rolling-shutter 0)"
+        )));
+    }
+    input.is_shutter_known = true;
+    Ok(())
+}
+
+/// The images of the second camera of a stereo pair.
+fn stereo(input: &Input, args: &RunArgs) -> Result<FrameDepths, Failure> {
+    let pairs = FrameDepths::of_stereo(input, args.input.calibration.as_deref())?;
+    let pairs = pairs.ok_or_else(|| {
+        Failure::input(format!(
+            "--stereo: {} has no second image for any of the frames to use; expected one of the \
+             same name in the folder of another camera (cam0 and cam1, image_0 and image_1)",
+            input.name
+        ))
+    })?;
+    eprintln!(
+        "stereo: {} of the frames have a second image",
+        pairs.count()
+    );
+    Ok(pairs)
 }
 
 /// All that is read, and so must not be written.

@@ -56,6 +56,8 @@ struct CheckReport {
     median_blur: f32,
     median_textured_share: f32,
     depth_images: usize,
+    /// Frames of which the second camera of a stereo pair has an image.
+    second_images: usize,
     has_ground_truth: bool,
     /// The inertial sensor beside the camera.
     imu: Option<ImuFacts>,
@@ -214,6 +216,7 @@ impl CheckReport {
             median_blur: sequence.median_blur,
             median_textured_share: sequence.median_textured_share,
             depth_images: dataset.map_or(0, |dataset| dataset.depths.len()),
+            second_images: dataset.map_or(0, |dataset| dataset.num_second_images()),
             has_ground_truth: dataset.is_some_and(|dataset| dataset.ground_truth.is_some()),
             imu: inertial.map(|inertial| inertial.facts),
             imu_interpretation: inertial.map(|inertial| inertial.interpretation.clone()),
@@ -288,6 +291,10 @@ fn print_report(report: &CheckReport) {
     let (depths, has_truth) = (report.depth_images, report.has_ground_truth);
     let has_truth = if has_truth { "yes" } else { "no" };
     println!("depth images {depths}, ground truth {has_truth}");
+    if report.second_images > 0 {
+        let frames = report.second_images;
+        println!("stereo       {frames} of the frames have a second image (run --stereo)");
+    }
     if let (Some(imu), Some(interpretation)) = (&report.imu, &report.imu_interpretation) {
         println!(
             "inertial     {} readings in {:.1} s, {:.0} per second, largest gap {:.3} s, {} \

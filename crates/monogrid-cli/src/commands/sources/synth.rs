@@ -8,7 +8,7 @@ use monogrid_app::args::{JsonArg, positive, readout_ms, size};
 use monogrid_app::output::{Inputs, OutputFolder};
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
 use monogrid_datasets::{Calibration, read_trajectory};
-use monogrid_geometry::{Camera, Pinhole};
+use monogrid_geometry::{Camera, Distortion, Pinhole};
 use monogrid_occupancy::MapFormat;
 use monogrid_worlds::{
     CameraPath, EffectsConfig, ImuConfig, LightingConfig, MOTION_NAMES, MeshLighting, Motion,
@@ -89,6 +89,10 @@ pub struct SynthArgs {
     /// layout, with the errors of a phone's
     #[arg(long)]
     pub imu: bool,
+    /// Write the images of a second camera too, so far to the right, metres; for a camera without
+    /// a lens
+    #[arg(long, value_name = "M", value_parser = positive)]
+    pub stereo: Option<f64>,
     /// Light the world coarsely, in a moment
     #[arg(long)]
     pub quick_light: bool,
@@ -126,6 +130,11 @@ pub fn execute(args: &SynthArgs) -> CommandResult {
         .and_all("the motion", &args.trajectory)
         .and_all("the calibration", &args.calibration);
     let camera = camera(args)?;
+    if args.stereo.is_some() && camera.distortion != Distortion::None {
+        return Err(Failure::input(
+            "--stereo: found a calibration with a lens, expected one without distortion",
+        ));
+    }
     let folder = OutputFolder::replace(&args.out, args.force, &inputs)?;
     let world = world(args)?;
     let config = SynthConfig {
@@ -161,6 +170,7 @@ fn write(args: &SynthArgs, folder: &OutputFolder, sequence: &SynthSequence) -> C
     let config = WriteConfig {
         depth_every: args.depth_every,
         with_mesh: true,
+        baseline_m: args.stereo.unwrap_or(0.0),
     };
     let written = write_tum_layout(sequence, folder.path(), &config, |done| {
         bar.set_position(done as u64);

@@ -26,7 +26,10 @@ fn started_at_the_end(sequence: &SynthSequence, config: SlamConfig) -> Slam {
             index: k,
             timestamp_ns: k as i64 * 133_333_333,
             image: rendered.image,
-            depth: sequence.depth(shown(k)).filter(|_| k == FRAMES - 1),
+            depth: sequence
+                .depth(shown(k))
+                .filter(|_| k == FRAMES - 1)
+                .map(Into::into),
         })
     };
     let last = FRAMES - 1;

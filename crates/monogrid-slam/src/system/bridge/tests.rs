@@ -19,7 +19,10 @@ fn input(sequence: &SynthSequence, k: usize, change: fn(GrayImage) -> GrayImage)
         index: k,
         timestamp_ns: k as i64 * INTERVAL_NS,
         image: change(sequence.frame(STEP * k).unwrap().image),
-        depth: (k == 0).then(|| sequence.depth(0)).flatten(),
+        depth: (k == 0)
+            .then(|| sequence.depth(0))
+            .flatten()
+            .map(Into::into),
     }
 }
 

@@ -25,7 +25,10 @@ fn with_keyframes(sequence: &SynthSequence) -> Slam {
             index,
             timestamp_ns: index as i64 * 100_000_000,
             image: sequence.frame(k).unwrap().image,
-            depth: (k == 0).then(|| sequence.depth(0)).flatten(),
+            depth: (k == 0)
+                .then(|| sequence.depth(0))
+                .flatten()
+                .map(Into::into),
         });
     }
     slam.await_graph();

@@ -15,7 +15,10 @@ fn input(sequence: &SynthSequence, index: usize, image: GrayImage) -> FrameInput
         index,
         timestamp_ns: sequence.frame(index).unwrap().timestamp_ns,
         image,
-        depth: (index == 0).then(|| sequence.depth(0)).flatten(),
+        depth: (index == 0)
+            .then(|| sequence.depth(0))
+            .flatten()
+            .map(Into::into),
     }
 }
 

@@ -1,0 +1,99 @@
+//! The calibration of the second camera of a stereo pair.
+
+use super::document::Document;
+use super::{Images, cameras};
+use crate::text::{data_lines, numbers, read_text};
+use crate::trajectory::pose_from_matrix;
+use crate::{Calibration, DatasetError};
+use monogrid_geometry::{Camera, Distortion, Pinhole, Rotation, Se3, Vec3};
+use std::path::Path;
+
+/// The second camera of a stereo pair.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SecondCamera {
+    /// As its images were taken.
+    pub camera: Camera,
+    /// With the translation in metres.
+    pub second_from_first: Se3,
+}
+
+impl SecondCamera {
+    /// By the files of both cameras (EuRoC's `sensor.yaml`), which say where these are in the body;
+    /// `None` where they do not.
+    pub(crate) fn of_sensors(
+        files: [&Path; 2],
+        image_size: (usize, usize),
+    ) -> Result<Option<Self>, DatasetError> {
+        let images = Images {
+            size: Some(image_size),
+            folder: None,
+        };
+        let [first, second] = files.map(|path| Calibration::read_for(path, images));
+        let (first, second) = (first?, second?);
+        let places = first.body_from_camera.zip(second.body_from_camera);
+        Ok(places.map(|(body_from_first, body_from_second)| Self {
+            camera: second.camera,
+            second_from_first: body_from_second.inverse() * body_from_first,
+        }))
+    }
+
+    /// By one file for both cameras: Kalibr's chain, or KITTI's projection matrices of the cameras
+    /// with these numbers (`["0", "1"]`, `["00", "01"]`), whose images have this size; `None` where
+    /// it is not for two.
+    pub(crate) fn of_file(
+        path: &Path,
+        numbers: [&str; 2],
+        image_size: (usize, usize),
+    ) -> Result<Option<Self>, DatasetError> {
+        let text = read_text(path)?;
+        let chained = of_chain(&text, path, image_size)?;
+        Ok(chained.or_else(|| of_projections(&text, numbers, image_size)))
+    }
+}
+
+/// By Kalibr's chain of cameras, each of which says how it sees the one before it.
+fn of_chain(
+    text: &str,
+    path: &Path,
+    image_size: (usize, usize),
+) -> Result<Option<SecondCamera>, DatasetError> {
+    let Some(second) = Document::yaml(text).below("cam1") else {
+        return Ok(None);
+    };
+    let matrix = second.list(&["t_cn_cnm1"], path)?;
+    let Some(second_from_first) = matrix.and_then(|m| pose_from_matrix(&m)) else {
+        return Ok(None);
+    };
+    let calibration = cameras::parse(&second, path, Some(image_size))?.check(path)?;
+    Ok(Some(SecondCamera {
+        camera: calibration.camera,
+        second_from_first,
+    }))
+}
+
+/// By KITTI's projection matrices of rectified images, `P0` and `P1` or `P_rect_00` and
+/// `P_rect_01`: both cameras look in one direction, and the fourth column says how far they are
+/// from a common origin, in px times metres.
+fn of_projections(
+    text: &str,
+    cameras: [&str; 2],
+    (width, height): (usize, usize),
+) -> Option<SecondCamera> {
+    let matrix = |number: &str| -> Option<[f64; 12]> {
+        let labels = [format!("P{number}:"), format!("P_rect_{number}:")];
+        let mut lines = data_lines(text);
+        let values = lines.find_map(|(_, line)| labels.iter().find_map(|l| line.strip_prefix(l)));
+        numbers(values?)?.try_into().ok()
+    };
+    let [first, second] = [matrix(cameras[0])?, matrix(cameras[1])?];
+    let offset = |m: &[f64; 12]| Vec3::new(m[3] / m[0], m[7] / m[5], 0.0);
+    Some(SecondCamera {
+        camera: Camera {
+            width,
+            height,
+            pinhole: Pinhole::new(second[0], second[5], second[2], second[6]),
+            distortion: Distortion::None,
+        },
+        second_from_first: Se3::new(Rotation::identity(), offset(&second) - offset(&first)),
+    })
+}
