@@ -46,6 +46,9 @@ pub struct Settings {
     /// Readings of an inertial sensor beside the camera, on the clock of the images; of a live one
     /// those of before the first image, or none ([`Pipeline::push_readings`]).
     pub imu: Option<Arc<Imu>>,
+    /// The number of the first frame of which the depth was measured, where one is: the run begins
+    /// with that, and frames before it are tracked backwards.
+    pub first_measured: Option<usize>,
     /// The frame of the maps, where no inertial sensor makes it level and metric. By default they
     /// are z up as the first camera was held.
     pub map_from_world: Sim3,
@@ -63,6 +66,7 @@ impl Default for Settings {
             photometric: Photometric::default(),
             readout_ms: 0.0,
             imu: None,
+            first_measured: None,
             map_from_world: z_up_from_camera_world(),
         }
     }
@@ -156,6 +160,9 @@ impl Pipeline {
         };
         if let Some(imu) = settings.imu {
             slam = slam.with_imu(imu);
+        }
+        if let Some(index) = settings.first_measured {
+            slam = slam.with_first_measured(index);
         }
         let camera = KeyframeCamera::new(pinhole, preparation.size());
         let mapper = Mapper::new(settings.mapping, settings.threads);

@@ -46,6 +46,8 @@ pub enum LostReason {
     NotEnoughParallax,
     /// Too few features could be followed to start.
     TooFewFeatures,
+    /// The first frame of which the depth was measured is still to come.
+    WaitingForDepth,
     /// The start is ambiguous (plane or rotation).
     AmbiguousStart,
     /// Too few of the keyframe's points project into the frame.
@@ -72,6 +74,7 @@ impl fmt::Display for LostReason {
         f.write_str(match self {
             Self::NotEnoughParallax => "not enough parallax to start",
             Self::TooFewFeatures => "too few features to start",
+            Self::WaitingForDepth => "waiting for the first measured depth",
             Self::AmbiguousStart => "start is ambiguous",
             Self::NoOverlap => "too little overlap with the keyframe",
             Self::Residuals => "grey values do not agree with the keyframe",

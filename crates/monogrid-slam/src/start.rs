@@ -8,6 +8,7 @@ use crate::two_view_start::TwoViewStart;
 use crate::{InitializationMode, LostReason, Scale, SlamConfig};
 use monogrid_depth::DepthMap;
 use monogrid_geometry::Se3;
+use std::collections::VecDeque;
 
 /// Waits for the first keyframe.
 #[derive(Debug)]
@@ -19,6 +20,13 @@ pub(crate) enum Start {
     },
     /// Two views with parallax.
     TwoView(Box<TwoViewStart>),
+    /// The first frame of which the depth was measured, for which others wait.
+    Measured {
+        /// Its number.
+        first: usize,
+        /// The newest of the frames before it.
+        earlier: VecDeque<BufferedFrame>,
+    },
 }
 
 /// The first keyframe, and the frames that were seen while waiting for it.
@@ -73,6 +81,7 @@ impl Start {
         match self {
             Self::Random { .. } => Vec::new(),
             Self::TwoView(start) => start.into_frames(),
+            Self::Measured { earlier, .. } => earlier.into(),
         }
     }
 
@@ -85,6 +94,12 @@ impl Start {
         }
     }
 
+    /// Waits for the frame with this number, of which the depth was measured.
+    pub(crate) fn with_measured(first: usize) -> Self {
+        let earlier = VecDeque::new();
+        Self::Measured { first, earlier }
+    }
+
     /// Takes the next frame: the first keyframe, or why there is none yet. Measured depth decides
     /// at once, whatever the mode.
     pub(crate) fn add_frame(
@@ -92,10 +107,25 @@ impl Start {
         frame: Frame,
         setup: &Setup,
     ) -> Result<Box<Started>, LostReason> {
-        if let Some(started) = from_measured_depth(&frame, setup) {
+        if let Some(mut started) = from_measured_depth(&frame, setup) {
+            if let Self::Measured { earlier, .. } = self {
+                started.earlier = std::mem::take(earlier).into();
+            }
             return Ok(Box::new(started));
         }
+        if let Self::Measured { first, .. } = self
+            && frame.index >= *first
+        {
+            // too little was measured, or that frame never came
+            *self = Self::new(&setup.config, setup.seed);
+        }
         match self {
+            Self::Measured { earlier, .. } => {
+                earlier.push_back(BufferedFrame::new(&frame));
+                let most = setup.config.initialization.max_buffered_frames;
+                earlier.drain(..earlier.len().saturating_sub(most));
+                Err(LostReason::WaitingForDepth)
+            }
             Self::Random { seed } => {
                 let started = random(frame, *seed, setup);
                 started.map(Box::new).ok_or(LostReason::NoTexture)

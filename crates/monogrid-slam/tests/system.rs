@@ -184,6 +184,48 @@ fn a_depth_camera_holds_the_scale_with_every_frame_and_with_few() {
 }
 
 #[test]
+fn frames_before_the_first_measured_depth_wait_and_are_tracked_backwards() {
+    let inputs = with_depth_camera(|k| k == 15);
+    let mut slam = system(SlamConfig::default(), 0).with_first_measured(15);
+    let reports: Vec<FrameReport> = inputs
+        .iter()
+        .cloned()
+        .map(|i| slam.process_frame(i))
+        .collect();
+    slam.finish();
+    assert!(
+        reports[..15]
+            .iter()
+            .all(|r| r.reason == Some(LostReason::WaitingForDepth))
+    );
+    assert!(reports[15].created_keyframe && slam.keyframes()[0].frame_index == 15);
+    assert_eq!(
+        (slam.trajectory().len(), slam.scale()),
+        (FRAMES, Scale::Metric)
+    );
+    let report = evaluate(&slam);
+    assert!(
+        report.ate_rmse < 0.01 * report.path_length,
+        "{} m",
+        report.ate_rmse
+    );
+}
+
+#[test]
+fn where_too_little_is_measured_the_start_is_as_it_would_be_without() {
+    let mut inputs = clip().inputs.clone();
+    let (width, height) = (inputs[0].image.width(), inputs[0].image.height());
+    inputs[5].depth = Some(GrayImage::filled(width, height, f32::NAN).into());
+    let mut slam = system(SlamConfig::default(), 0).with_first_measured(5);
+    let reports: Vec<FrameReport> = inputs.into_iter().map(|i| slam.process_frame(i)).collect();
+    slam.finish();
+    let waits = |r: &FrameReport| r.reason == Some(LostReason::WaitingForDepth);
+    assert!(reports[..5].iter().all(waits) && !reports[5..].iter().any(waits));
+    assert_eq!(slam.scale(), Scale::Arbitrary);
+    assert_eq!(reports.last().unwrap().state, TrackingState::Good);
+}
+
+#[test]
 fn a_camera_that_only_turns_is_tracked_with_depth() {
     let sequence = demo();
     let camera = sequence.camera();

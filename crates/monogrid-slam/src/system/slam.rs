@@ -139,6 +139,16 @@ impl Slam {
         self
     }
 
+    /// The same where the depth of the frame with this number was measured: the first keyframe is
+    /// that one, and frames before it wait.
+    #[must_use]
+    pub fn with_first_measured(mut self, index: usize) -> Self {
+        if self.start.is_some() {
+            self.start = Some(Start::with_measured(index));
+        }
+        self
+    }
+
     /// Adds readings of that sensor as they come, before the frames that are later than they are;
     /// without a sensor ([`Self::with_imu`]) nothing is done. Those of the last half an hour are
     /// kept.

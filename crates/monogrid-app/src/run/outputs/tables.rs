@@ -180,7 +180,6 @@ fn frames_csv(rows: &[FrameRow]) -> String {
             FrameFate::Skipped(reason) => ("skipped", reason.clone()),
             FrameFate::Repeated => ("repeated", "the image before once more".to_owned()),
             FrameFate::Dropped => ("dropped", "behind the camera".to_owned()),
-            FrameFate::BeforeSeed => ("initialising", "waiting for the seed depth".to_owned()),
         };
         let (time, reason) = (format_seconds(row.timestamp_ns), reason.replace('"', "'"));
         let _ = write!(text, "{},{time},{state},\"{reason}\",", row.index);

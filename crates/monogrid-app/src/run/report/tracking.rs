@@ -32,7 +32,6 @@ pub(super) fn state(row: &FrameRow) -> State {
             TrackingState::Fragment => FRAGMENT,
             TrackingState::Lost => LOST,
         },
-        FrameFate::BeforeSeed => STARTING,
         FrameFate::Skipped(_) => UNREADABLE,
         FrameFate::Repeated => REPEATED,
         FrameFate::Dropped => DROPPED,

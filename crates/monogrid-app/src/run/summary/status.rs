@@ -136,11 +136,7 @@ mod tests {
     fn half_of_the_frames_are_those_that_were_tracked() {
         let mut rows: Vec<FrameRow> = (0..10).map(|i| row(i, TrackingState::Good)).collect();
         assert!(is_half(5, &rows) && !is_half(4, &rows));
-        for fate in [
-            FrameFate::Repeated,
-            FrameFate::Dropped,
-            FrameFate::BeforeSeed,
-        ] {
+        for fate in [FrameFate::Repeated, FrameFate::Dropped] {
             rows.push(FrameRow {
                 fate,
                 ..row(10, TrackingState::Good)

@@ -122,11 +122,10 @@ mod tests {
         FrameRow {
             index,
             timestamp_ns: i64::MIN + index as i64,
-            fate: match index % 5 {
+            fate: match index % 4 {
                 0 => FrameFate::Skipped("a \"reason\", 中".to_owned()),
                 1 => FrameFate::Repeated,
                 2 => FrameFate::Dropped,
-                3 => FrameFate::BeforeSeed,
                 _ => FrameFate::Processed(Box::new(report)),
             },
             latency_ms: index.is_multiple_of(3).then_some(0.1 + index as f32),

@@ -14,8 +14,6 @@ pub enum FrameFate {
     Repeated,
     /// It came while the program was behind.
     Dropped,
-    /// It lies before the frame with the seed depth.
-    BeforeSeed,
 }
 
 /// One frame of the source and what became of it.

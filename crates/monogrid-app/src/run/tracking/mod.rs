@@ -12,7 +12,6 @@ pub mod tracked;
 
 use crate::camera::calibration_check::CalibrationCheck;
 use crate::camera::rolling::ShutterSearch;
-use crate::input::depth_images::FrameDepths;
 use crate::input::frame_colours::FrameColours;
 use crate::input::seen::{no_map, watch_of_working_images};
 use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
@@ -206,11 +205,6 @@ impl<'a> Tracking<'a> {
     }
 
     fn process(&mut self, frame: FrameInput, next_due: Option<Instant>) -> (FrameFate, Instant) {
-        let first_frame = self.settings.depth.as_ref().map(FrameDepths::first_frame);
-        if first_frame.is_some_and(|first| frame.index < first) {
-            self.pipeline.pass_over();
-            return (FrameFate::BeforeSeed, Instant::now());
-        }
         if let Some(watch) = self.watch.as_mut().filter(|watch| !watch.is_decided()) {
             watch.add(&frame.image);
         }
@@ -261,7 +255,7 @@ impl<'a> Tracking<'a> {
             }
             // it was not read
             FrameFate::Dropped => None,
-            FrameFate::Processed(_) | FrameFate::BeforeSeed | FrameFate::Repeated => {
+            FrameFate::Processed(_) | FrameFate::Repeated => {
                 self.unreadable_in_a_row = 0;
                 self.is_none_readable = false;
                 None

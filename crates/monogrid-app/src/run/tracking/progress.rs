@@ -50,7 +50,6 @@ impl Progress {
             FrameFate::Skipped(_) => "frame unreadable".to_owned(),
             FrameFate::Repeated => "image repeated".to_owned(),
             FrameFate::Dropped => "frame dropped".to_owned(),
-            FrameFate::BeforeSeed => "waiting for the seed depth".to_owned(),
         };
         let elapsed = self.begin.elapsed();
         let rate = self.num_done as f64 / elapsed.as_secs_f64().max(1e-3);

@@ -96,6 +96,7 @@ pub fn viewer(input: &Input, settings: &RunSettings) -> Result<Option<Viewer>, F
 /// A new pipeline, or one that goes on with the map of an earlier run.
 fn pipeline(input: &Input, settings: &RunSettings) -> Result<Pipeline, Failure> {
     let config = &settings.config;
+    let first_measured = settings.depth.as_ref().map(FrameDepths::first_frame);
     let earlier = settings.continued.as_ref();
     let earlier = earlier.map(|Continued { earlier, purpose }| (earlier.map.clone(), *purpose));
     let inertial = input.inertial.as_ref();
@@ -105,6 +106,7 @@ fn pipeline(input: &Input, settings: &RunSettings) -> Result<Pipeline, Failure> 
         seed: config.seed,
         threads: settings.threads,
         imu: inertial.map(|inertial| Arc::clone(&inertial.imu)),
+        first_measured,
         ..Settings::default()
     };
     Pipeline::with(input.preparation.clone(), settings, earlier).map_err(Failure::input)
