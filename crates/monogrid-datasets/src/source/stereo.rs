@@ -42,9 +42,9 @@ impl Dataset {
 
     /// The second camera of a stereo pair; `None` where no frame has a second image.
     ///
-    /// Its calibration is that of `file`, if that is for two cameras, or else of the source: EuRoC's `sensor.yaml` of both
-    /// cameras, KITTI's projection matrices, or Kalibr's chain of cameras. `image_size` (width,
-    /// height) is that of formats that do not say it.
+    /// Its calibration is that of `file`, if that is for two cameras, or else of the source:
+    /// EuRoC's `sensor.yaml` of both cameras, KITTI's projection matrices, or Kalibr's chain of
+    /// cameras. `image_size` (width, height) is that of formats that do not say it.
     ///
     /// # Errors
     /// When there is no calibration of a pair, or one that cannot be understood.
@@ -55,7 +55,8 @@ impl Dataset {
     ) -> Result<Option<SecondCamera>, DatasetError> {
         let has_second = |frame: &&FrameEntry| self.second_image(frame).is_some();
         let frame = self.frames.iter().find(has_second);
-        let Some((frame, (names, second))) = frame.and_then(|f| Some((f, beside(&f.path)?))) else {
+        let pair = frame.and_then(|frame| Some((frame, beside(&frame.path)?)));
+        let Some((frame, (names, second))) = pair else {
             return Ok(None);
         };
         let numbers = names.map(|name| name.trim_start_matches(|c: char| !c.is_ascii_digit()));
