@@ -17,7 +17,7 @@ use crate::{
 };
 use monogrid_depth::{DepthMap, MeasuredDepth, PixelFilter};
 use monogrid_geometry::{Rotation, Sim3, Vec3};
-use std::collections::BTreeSet;
+use monogrid_image::Mask;
 use std::sync::Arc;
 
 /// What a frame with a pose is used for.
@@ -190,7 +190,7 @@ fn publish(
         .collect();
     if let Some(measured) = measured {
         let unit = keyframe.world_from_keyframe.scale as f32;
-        add_measured(&mut pixels, measured.pixels(unit));
+        add_measured(&mut pixels, &measured, unit);
     }
     pixels.shrink_to_fit();
     let revision = match &keyframe.published {
@@ -212,12 +212,18 @@ fn publish(
     })
 }
 
-/// Adds what a depth camera measured to depth that is published, row-major, where that has none.
-fn add_measured(pixels: &mut Vec<DepthPixel>, measured: impl Iterator<Item = DepthPixel>) {
-    let place = |pixel: &DepthPixel| (pixel.y, pixel.x);
-    let known: BTreeSet<(u16, u16)> = pixels.iter().map(place).collect();
-    pixels.extend(measured.filter(|pixel| !known.contains(&place(pixel))));
-    pixels.sort_unstable_by_key(place);
+/// Adds what was measured, in units of so many metres, to depth that is published, row-major, where
+/// that has none.
+fn add_measured(pixels: &mut Vec<DepthPixel>, measured: &MeasuredDepth, unit: f32) {
+    let (width, height) = measured.size();
+    let mut is_known = Mask::filled(width, height, 0);
+    for pixel in pixels.iter() {
+        is_known.set(pixel.x.into(), pixel.y.into(), 1);
+    }
+    let is_new = |pixel: &DepthPixel| is_known.at(pixel.x.into(), pixel.y.into()) == 0;
+    pixels.extend(measured.pixels(unit).filter(is_new));
+    // two runs in order, which a stable sort merges
+    pixels.sort_by_key(|pixel| (pixel.y, pixel.x));
 }
 
 /// The first keyframe of a fragment, which is its world.
