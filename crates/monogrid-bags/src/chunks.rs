@@ -147,7 +147,10 @@ fn unpacked_message(data: &[u8]) -> Result<Vec<u8>, String> {
 /// temporary files.
 pub fn unpacked_file(file: &File) -> Result<File, String> {
     let packed = file.metadata().map_err(|error| error.to_string())?.len();
-    let most = FILE_BYTES + FILE_GROWTH * packed;
+    unpacked_within(file, FILE_BYTES + FILE_GROWTH * packed)
+}
+
+fn unpacked_within(file: &File, most: u64) -> Result<File, String> {
     let decoder = ruzstd::decoding::StreamingDecoder::new(BufReader::new(file))
         .map_err(|error| format!("it is not zstd: {error}"))?;
     let mut out = tempfile::tempfile()
@@ -156,8 +159,7 @@ pub fn unpacked_file(file: &File) -> Result<File, String> {
         .map_err(|error| format!("it cannot be decompressed (zstd) into TMPDIR: {error}"))?;
     if written > most {
         return Err(format!(
-            "a file of {packed} bytes holds more than {most}; decompress it with zstd -d, if you \
-             trust it"
+            "it holds more than {most} bytes; decompress it with zstd -d, if you trust it"
         ));
     }
     Ok(out)
@@ -257,5 +259,32 @@ mod tests {
             .unpacked_message(&zstd_zeros(8 * 33))
             .unwrap_err();
         assert!(error.contains("a message of"), "{error}");
+    }
+    #[test]
+    fn a_record_has_the_bytes_that_it_claims_and_no_more_than_a_gigabyte() {
+        let read = |length| block(&mut &b"abc"[..], length);
+        assert_eq!(read(2).unwrap(), b"ab");
+        assert_eq!(read(3).unwrap(), b"abc");
+        assert!(read(4).unwrap_err().contains("ends within a record"));
+        let error = read((1 << 30) + 1).unwrap_err();
+        assert!(error.contains("claims 1073741825 bytes"), "{error}");
+        // of a large chunk, too
+        let error = unpacked(&vec![0; 1 << 27], (1 << 30) + 1).unwrap_err();
+        assert!(error.contains("claims to hold 1073741825"), "{error}");
+    }
+
+    #[test]
+    fn what_a_file_may_hold_depends_on_what_it_stores() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), zstd_zeros(2)).unwrap();
+        let unpacked = |most| unpacked_within(&file.reopen().unwrap(), most);
+        let whole = unpacked(2 << 17).unwrap();
+        assert_eq!(whole.metadata().unwrap().len(), 2 << 17);
+        let error = unpacked((2 << 17) - 1).unwrap_err();
+        assert!(error.contains("more than 262143 bytes"), "{error}");
+        let plain = [crate::mcap::MAGIC, &[0; 92]].concat();
+        std::fs::write(file.path(), plain).unwrap();
+        let part = crate::part::parts_of(file.path()).unwrap().remove(0);
+        assert_eq!(part.unpacker().stored_bytes, 100);
     }
 }

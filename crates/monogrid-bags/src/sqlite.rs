@@ -120,11 +120,8 @@ impl Database {
             true => 0,
             false => be_u32(page, start + local).ok_or_else(cut)?,
         };
-        let mut pages_left = self.num_pages;
+        // in a circle, too, there are no more than the row claims
         while bytes.len() < length {
-            pages_left = pages_left
-                .checked_sub(1)
-                .ok_or("overflow pages in a circle")?;
             let page = self.page(next)?;
             let more = (length - bytes.len()).min(self.usable - 4);
             bytes.extend_from_slice(&page[4..4 + more]);
@@ -336,44 +333,67 @@ mod tests {
         }
     }
 
-    /// A file of two pages: the table of tables, and a table whose cells are all the same one.
-    fn rows_in_one_another(count: usize) -> Vec<u8> {
-        const PAGE: usize = 512;
-        let leaf = |cell: &[u8], count: usize, head: usize| {
-            let mut page = vec![0; PAGE];
-            let start = PAGE - cell.len();
-            page[start..].copy_from_slice(cell);
-            page[head] = LEAF;
-            page[head + 3..head + 5].copy_from_slice(&(count as u16).to_be_bytes());
-            for k in 0..count {
-                let at = head + 8 + 2 * k;
-                page[at..at + 2].copy_from_slice(&(start as u16).to_be_bytes());
-            }
-            page
-        };
+    const PAGE: usize = 512;
+
+    /// A page of this kind with so many cells, which are all the same one.
+    fn page_of(kind: u8, cell: &[u8], count: usize, head: usize) -> Vec<u8> {
+        let mut page = vec![0; PAGE];
+        let start = PAGE - cell.len();
+        page[start..].copy_from_slice(cell);
+        page[head] = kind;
+        page[head + 3..head + 5].copy_from_slice(&(count as u16).to_be_bytes());
+        for k in 0..count {
+            let at = head + 8 + 2 * k;
+            page[at..at + 2].copy_from_slice(&(start as u16).to_be_bytes());
+        }
+        page
+    }
+
+    /// The rows of a table whose first page is the second of a file of so many bytes.
+    fn rows_of(page: Vec<u8>, file_bytes: u64) -> Rows {
         // texts of five bytes and of one, a number of one
         let types = [6, 23, 15, 15, 1, 15];
         let table = [&types[..], b"table", b"t", b"t", &[2], b"x"].concat();
         let table = [&[table.len() as u8, 1], table.as_slice()].concat();
-        let mut file = leaf(&table, 1, HEADER_BYTES);
-        file[..magic::SQLITE.len()].copy_from_slice(magic::SQLITE);
-        file[16..18].copy_from_slice(&(PAGE as u16).to_be_bytes());
-        // one of fifty bytes
-        let row = [&[52, 1, 2, 112][..], &[7; 50]].concat();
-        file.extend(leaf(&row, count, 0));
-        file
+        let mut bytes = page_of(LEAF, &table, 1, HEADER_BYTES);
+        bytes[..magic::SQLITE.len()].copy_from_slice(magic::SQLITE);
+        bytes[16..18].copy_from_slice(&(PAGE as u16).to_be_bytes());
+        bytes.extend(page);
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), bytes).unwrap();
+        file.as_file().set_len(file_bytes).unwrap();
+        let input = Input::of(std::fs::File::open(file.path()).unwrap());
+        Database::open(input).unwrap().table("t").unwrap()
     }
 
     #[test]
     fn rows_that_lie_in_one_another_end_where_the_file_would() {
-        let file = tempfile::NamedTempFile::new().unwrap();
-        std::fs::write(file.path(), rows_in_one_another(40)).unwrap();
-        let input = Input::of(std::fs::File::open(file.path()).unwrap());
-        let rows = Database::open(input).unwrap().table("t").unwrap();
+        // one of fifty bytes
+        let row = [&[52, 1, 2, 112][..], &[7; 50]].concat();
+        let rows = rows_of(page_of(LEAF, &row, 40, 0), 1024);
         let (whole, broken): (Vec<_>, Vec<_>) = rows.partition(Result::is_ok);
         // a file of 1024 bytes, rows of 52
         assert_eq!(whole.len(), 19);
         let error = broken.into_iter().next().unwrap().unwrap_err();
         assert!(error.contains("more bytes than the file"), "{error}");
+    }
+
+    #[test]
+    fn a_table_that_leads_to_itself_has_an_end() {
+        let mut page = page_of(INTERIOR, &[], 0, 0);
+        page[8..12].copy_from_slice(&2_u32.to_be_bytes());
+        let read: Vec<_> = rows_of(page, 1024).collect();
+        assert_eq!(read, [Err("pages of a table in a circle".to_owned())]);
+    }
+
+    #[test]
+    fn a_row_of_more_than_a_gigabyte_is_refused_before_it_is_read() {
+        // 2^30 and one more
+        let row = [0x84, 0x80, 0x80, 0x80, 0x01, 1];
+        let read: Vec<_> = rows_of(page_of(LEAF, &row, 1, 0), 1 << 31).collect();
+        let [Err(error)] = read.as_slice() else {
+            panic!("{read:?}");
+        };
+        assert!(error.contains("claims 1073741825 bytes"), "{error}");
     }
 }
