@@ -38,7 +38,7 @@ pub(crate) fn open(name: &str, mut file: File, file_bytes: u64) -> Result<Here, 
     let sets = [&track.config.sps_list, &track.config.pps_list];
     let sets: Vec<Vec<u8>> = sets.into_iter().flatten().map(prefixed).collect();
     let units = || sets.iter().flat_map(|set| parse_avcc(set, 4));
-    let budget = PixelBudget::of_video(Path::new(name), file_bytes);
+    let budget = PixelBudget::of_source(Path::new(name), file_bytes);
     let mut decoder = BoundedDecoder::new(units(), Some(budget));
     let mut space = ColourSpace::default();
     for unit in units() {

@@ -400,7 +400,7 @@ impl Video {
                 begun,
                 messages,
                 program,
-                budget: stored_bytes(path).map(|bytes| PixelBudget::of_video(path, bytes)),
+                budget: stored_bytes(path).map(|bytes| PixelBudget::of_source(path, bytes)),
                 ended: false,
             }),
             Err(error) => {

@@ -25,7 +25,7 @@ pub(crate) fn open(
     let camera = bag.camera_of(topic);
     let description = format!("recording, topic {}", topic.name);
     if topic.kind == TopicKind::CompressedVideo {
-        let budget = stored_bytes(path).map(|bytes| PixelBudget::of_video(path, bytes));
+        let budget = stored_bytes(path).map(|bytes| PixelBudget::of_source(path, bytes));
         let frames = PacketFrames::new(name, bag.packets(topic), budget);
         return Ok((Opened::new(description, Box::new(frames)), camera));
     }

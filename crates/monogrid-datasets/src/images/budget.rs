@@ -15,18 +15,12 @@ struct Allowance {
 /// Bytes that are a small source.
 const SMALL_BYTES: u64 = 1 << 20;
 
-/// Of image files: those that can be tracked have 1 to 20 pixels for a byte, plain ones up to eight
-/// thousand. Any may have two hundred images of 640 x 480.
-const IMAGES: Allowance = Allowance {
-    any: 1 << 26,
-    per_small_byte: 128,
-    per_byte: 1024,
-};
-
-/// Of videos, which only store what changes: 1080p of 30 frames per second has 500 at 1 Mbit/s.
-const VIDEO: Allowance = Allowance {
+/// Of images and videos. Images that can be tracked have 1 to 20 pixels for a byte, plain ones up
+/// to eight thousand; videos only store what changes: 1080p of 30 frames per second has 500 at
+/// 1 Mbit/s. Any may have four hundred images of 640 x 480.
+const SOURCE: Allowance = Allowance {
     any: 1 << 27,
-    per_small_byte: 512,
+    per_small_byte: 128,
     per_byte: 4096,
 };
 
@@ -65,16 +59,10 @@ pub struct PixelBudget {
 }
 
 impl PixelBudget {
-    /// Of image files that have so many bytes together.
+    /// Of a video, or of image files that have so many bytes together.
     #[must_use]
-    pub fn of_images(path: &Path, stored_bytes: u64) -> Self {
-        Self::new(path, stored_bytes, &IMAGES)
-    }
-
-    /// Of a video of so many bytes.
-    #[must_use]
-    pub fn of_video(path: &Path, stored_bytes: u64) -> Self {
-        Self::new(path, stored_bytes, &VIDEO)
+    pub fn of_source(path: &Path, stored_bytes: u64) -> Self {
+        Self::new(path, stored_bytes, &SOURCE)
     }
 
     /// Of the keyframes of a recording of so many bytes.
@@ -125,27 +113,20 @@ mod tests {
     #[test]
     fn what_may_be_read_grows_with_what_is_stored() {
         let path = Path::new("a.zip");
-        assert_eq!(images_of(PixelBudget::of_images(path, 0)), 64);
-        assert_eq!(images_of(PixelBudget::of_images(path, 1 << 20)), 64 + 128);
-        assert_eq!(
-            images_of(PixelBudget::of_images(path, 2 << 20)),
-            64 + 128 + 1024
-        );
-        assert_eq!(images_of(PixelBudget::of_video(path, 1 << 20)), 128 + 512);
-        assert_eq!(
-            images_of(PixelBudget::of_video(path, 2 << 20)),
-            128 + 512 + 4096
-        );
+        let of_source = |bytes| images_of(PixelBudget::of_source(path, bytes));
+        assert_eq!(of_source(0), 128);
+        assert_eq!(of_source(1 << 20), 128 + 128);
+        assert_eq!(of_source(2 << 20), 128 + 128 + 4096);
         assert_eq!(images_of(PixelBudget::of_recording(path, 1 << 20)), 2 + 8);
-        let mut largest = PixelBudget::of_images(path, u64::MAX);
+        let mut largest = PixelBudget::of_source(path, u64::MAX);
         assert_eq!(largest.spend(usize::MAX, usize::MAX), Ok(()));
     }
 
     #[test]
     fn what_is_too_much_is_named() {
-        let mut budget = PixelBudget::of_images(Path::new("plain.zip"), 1000);
+        let mut budget = PixelBudget::of_source(Path::new("plain.zip"), 1000);
         let error = budget.spend(1 << 20, 1 << 20).unwrap_err().to_string();
         assert!(error.contains("plain.zip\" stores 1000 bytes"), "{error}");
-        assert!(error.contains("more than 67236864 pixels"), "{error}");
+        assert!(error.contains("more than 134345728 pixels"), "{error}");
     }
 }

@@ -203,7 +203,7 @@ impl Dataset {
                 (self.root.as_path(), lengths.sum())
             }
         };
-        PixelBudget::of_images(path, stored_bytes)
+        PixelBudget::of_source(path, stored_bytes)
     }
 
     /// The calibration that lies in the source, or that of all sequences of its data set

@@ -218,7 +218,7 @@ mod tests {
     }
 
     fn decoder(stored_bytes: u64) -> BoundedDecoder {
-        let budget = PixelBudget::of_video(Path::new("a.mp4"), stored_bytes);
+        let budget = PixelBudget::of_source(Path::new("a.mp4"), stored_bytes);
         BoundedDecoder::new(std::iter::empty(), Some(budget))
     }
 
@@ -288,7 +288,7 @@ mod tests {
     fn large_pictures_wait_for_their_turn_in_a_small_number() {
         let repeats = (1..9).flat_map(|n| repeated(n, (0, 192 * 192)));
         let bytes = [plain_picture(192), repeats.collect()].concat();
-        let budget = PixelBudget::of_video(Path::new("a.mp4"), 1 << 20);
+        let budget = PixelBudget::of_source(Path::new("a.mp4"), 1 << 20);
         let mut decoder = BoundedDecoder::new(parse_annex_b(&bytes).into_iter(), Some(budget));
         for unit in parse_annex_b(&bytes) {
             let outcome = decoder.decode(&unit, 0).expect("in the budget");

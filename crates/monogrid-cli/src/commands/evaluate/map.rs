@@ -226,7 +226,7 @@ fn rotated_and_scaled(
 /// ten million times a second: for small files, and for each byte of larger ones.
 const SMALL_CELLS: u64 = 8_000_000;
 const CELLS_PER_BYTE: u64 = 64;
-const SMALL_VISITS: u64 = 50_000_000;
+const SMALL_VISITS: u64 = 30_000_000;
 const VISITS_PER_BYTE: u64 = 4000;
 
 /// Plans in both maps and checks each path in the other.
