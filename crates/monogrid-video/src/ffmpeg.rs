@@ -10,9 +10,9 @@ use crate::y4m::Y4mReader;
 use crate::{
     Elsewhere, MAX_PIXELS, MIRRORED, Missing, Opened, VideoError, VideoFrame, stored_bytes,
 };
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
-use std::process::{ChildStderr, ChildStdout, Command, Stdio};
+use std::process::{ChildStdout, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::JoinHandle;
 
@@ -75,6 +75,10 @@ const THREADS: &str = "2";
 const ANY_BYTES: u64 = 224 << 20;
 const MORE_BYTES: u64 = 64;
 
+/// Pictures in a row for which there is no memory, after which the rest is not tried either: a
+/// small file can have sixty thousand, each of which takes its time to fail.
+const MAX_WITHOUT_ROOM: usize = 100;
+
 /// Most memory for data that ffmpeg may take for a file.
 fn most_bytes(name: &str, live: bool) -> Option<u64> {
     let stored = stored_bytes(Path::new(name)).filter(|_| !live);
@@ -104,7 +108,7 @@ pub(crate) fn open(
         _ => VideoError::io("ffmpeg", e),
     })?;
     let missing = Missing::default();
-    let (messages, said) = listen(stderr, missing.clone())?;
+    let (messages, said) = listen(stderr, missing.clone(), program.clone())?;
     let mut process = Process {
         name: name.to_owned(),
         program: program.clone(),
@@ -236,20 +240,32 @@ impl Before {
 }
 
 /// Reads what ffmpeg says: of the video and its frames as they come, its last words at the end.
-/// Frames that it cannot decode are counted.
+/// Frames that it cannot decode are counted; where there is no memory for any, it is ended.
 fn listen(
-    stderr: Option<ChildStderr>,
+    stderr: Option<impl Read + Send + 'static>,
     missing: Missing,
+    program: Program,
 ) -> Result<(JoinHandle<String>, Receiver<Said>), VideoError> {
     let (sender, said) = channel();
     let read = move || {
         let (mut last_words, mut refused) = (String::new(), None);
+        let mut without_room = 0;
         let lines = stderr.into_iter().flat_map(|e| BufReader::new(e).lines());
         for line in lines.map_while(Result::ok) {
             missing.add(usize::from(is_undecoded(&line)));
             match Said::of(&line) {
                 // nobody listens any more: the rest is still read, or ffmpeg would wait
-                Some(said) => drop(sender.send(said)),
+                Some(said) => {
+                    without_room = 0;
+                    let _ = sender.send(said);
+                }
+                None if line.ends_with(" get_buffer() failed") => {
+                    without_room += 1;
+                    if without_room == MAX_WITHOUT_ROOM {
+                        refused = Some(NO_ROOM.to_owned());
+                        program.end();
+                    }
+                }
                 None if line.contains("on whitelist") => refused = Some(refusal(&line)),
                 None if !line.contains("showinfo") => last_words = line,
                 None => {}
@@ -264,6 +280,8 @@ fn listen(
         .map_err(|e| VideoError::io("ffmpeg", e))?;
     Ok((messages, said))
 }
+
+const NO_ROOM: &str = "found pictures that take more memory than a file of its size may";
 
 /// What a line says that tells of a format or protocol that is not allowed:
 /// `[hls @ 0x55] Format not on whitelist 'mov,...'`.
@@ -388,10 +406,41 @@ impl Iterator for FfmpegFrames {
 
 #[cfg(test)]
 mod tests {
-    use super::{Before, Said, command, is_undecoded, most_bytes, refusal, shown_ns};
-    use crate::turn::Turn;
+    use super::*;
     use std::ffi::OsStr;
-    use std::sync::mpsc::channel;
+    #[cfg(unix)]
+    use std::os::unix::process::ExitStatusExt;
+
+    /// What is said of a program that says this, and the signal that it was ended by.
+    #[cfg(unix)]
+    fn heard(lines: &[(&str, usize)]) -> (String, Option<i32>) {
+        let program = Program::default();
+        let mut waits = Command::new("sh");
+        waits.args(["-c", "read line"]).stdin(Stdio::piped());
+        let input = program.start(&mut waits, None, |child| child.stdin.take());
+        let said: String = lines
+            .iter()
+            .map(|(line, times)| line.repeat(*times))
+            .collect();
+        let said = std::io::Cursor::new(said);
+        let (messages, _said) = listen(Some(said), Missing::default(), program.clone()).unwrap();
+        let message = messages.join().unwrap();
+        drop(input.unwrap());
+        (message, program.wait().unwrap().signal())
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_finds_no_memory_for_any_picture_is_ended() {
+        let failed = "[h264 @ 0x1] get_buffer() failed\n";
+        let shown = "[Parsed_showinfo_2 @ 0x55] n: 0 pts: 0 pts_time:0.5\n";
+        let last = "Conversion failed!\n";
+        let (message, signal) = heard(&[(failed, 100), (last, 1)]);
+        assert_eq!((message.as_str(), signal), (NO_ROOM, Some(9)));
+        // some are too large, and others are not
+        let (message, signal) = heard(&[(failed, 99), (shown, 1), (failed, 99), (last, 1)]);
+        assert_eq!((message.as_str(), signal), (last.trim(), None));
+    }
 
     /// The value of an option, which must stand in front of the input that it is of.
     fn value(name: &str, option: &str) -> String {
