@@ -489,3 +489,39 @@ fn an_answer_that_takes_long_does_not_hold_up_the_end() {
     serving.unwrap().end().unwrap();
     assert!(begin.elapsed() < SOON, "{:?}", begin.elapsed());
 }
+
+#[test]
+fn nothing_is_made_for_those_who_waited_when_the_server_ended() {
+    let server = Server::limited(0, PATIENT).unwrap();
+    let address = server.site.address;
+    let path = server.site.token.clone();
+    let (begun, begins) = std::sync::mpsc::channel();
+    let (go_on, goes_on) = std::sync::mpsc::channel::<()>();
+    let made = Arc::new(AtomicUsize::new(0));
+    let makes = Arc::clone(&made);
+    let serving = server.start(move |_| {
+        makes.fetch_add(1, Ordering::Relaxed);
+        let _ = (begun.send(()), goes_on.recv());
+        None
+    });
+    let ask = |_| {
+        let mut stream = TcpStream::connect(address).unwrap();
+        write!(stream, "GET /{path}/ HTTP/1.1\r\nHost: {address}\r\n\r\n").unwrap();
+        stream
+    };
+    let first = ask(0);
+    begins.recv().unwrap();
+    let waiting: Vec<TcpStream> = (1..3).map(ask).collect();
+    // until they wait for their turn
+    std::thread::sleep(Duration::from_millis(200));
+    serving.unwrap().end().unwrap();
+    drop(go_on);
+    // what makes answers is gone with the last thread that could ask for one
+    let begin = Instant::now();
+    while Arc::strong_count(&made) > 1 {
+        assert!(begin.elapsed() < SOON, "a thread goes on");
+        std::thread::sleep(LOOK_EVERY);
+    }
+    assert_eq!(made.load(Ordering::Relaxed), 1);
+    drop((first, waiting));
+}
