@@ -7,6 +7,7 @@ use crate::panics::Panics;
 use crate::server::{APART, JoiningConfig, Limits, Server, ServerConfig};
 use anyhow::Context as _;
 use clap::{Args, Parser};
+use monogrid_datasets::printable;
 use std::ffi::OsString;
 use std::panic::AssertUnwindSafe;
 use std::path::PathBuf;
@@ -140,8 +141,12 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let cli = match Cli::try_parse_from(arguments) {
         Ok(cli) => cli,
         Err(error) => {
+            if error.use_stderr() {
+                tell(error.to_string().trim_end());
+                return 2;
+            }
             let _ = error.print();
-            return if error.use_stderr() { 2 } else { 0 };
+            return 0;
         }
     };
     let result = match cli {
@@ -153,9 +158,14 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         }
     };
     result.unwrap_or_else(|error| {
-        eprintln!("error: {error:#}");
+        tell(&format!("error: {error:#}"));
         1
     })
+}
+
+/// To people. Names and reasons may come from agents, servers and files.
+fn tell(text: &str) {
+    eprintln!("{}", printable(text));
 }
 
 /// This program as `monogrid`.
@@ -198,10 +208,10 @@ fn agent(args: &AgentArgs) -> anyhow::Result<u8> {
         None => true,
     };
     let name = &args.name;
-    let worked = agent.work(is_over, &mut |news| eprintln!("{name}: {news}"));
+    let worked = agent.work(is_over, &mut |news| tell(&format!("{name}: {news}")));
     let run_code = run.as_mut().map_or(Ok(0), Run::code)?;
     let delivered = worked?;
-    eprintln!("{name}: {}", summary(&delivered));
+    tell(&format!("{name}: {}", summary(&delivered)));
     let is_all = delivered.taken >= delivered.packets;
     // the code of the run comes first
     Ok(if is_all { run_code } else { run_code.max(1) })
@@ -295,7 +305,7 @@ fn server(args: ServerArgs) -> anyhow::Result<u8> {
     };
     let interrupted = interrupted()?;
     let map = config.out.join("map");
-    let say = &mut |news: String| eprintln!("server: {news}");
+    let say = &mut |news: String| tell(&format!("server: {news}"));
     let mut server = Server::start(config, say)?;
     say(format!("listens; {} connections at most", connections()));
     let dies = std::env::var(DIES).ok();
@@ -316,7 +326,7 @@ fn server(args: ServerArgs) -> anyhow::Result<u8> {
     let agents = fleet.agents.iter();
     let placed = agents.filter(|a| a.shared_from_agent.is_some()).count();
     let (all, map) = (fleet.agents.len(), map.display());
-    eprintln!("server: {placed} of {all} runs in one map: {map}");
+    tell(&format!("server: {placed} of {all} runs in one map: {map}"));
     Ok(if placed == all { 0 } else { APART as u8 })
 }
 

@@ -6,7 +6,7 @@ mod common;
 use common::{PROGRAM, endpoint, linked, server_config, session};
 use monogrid_datasets::{
     Continuation, DepthPixel, EndRecord, KeyframeRecord, PoseSnapshot, Record, RecordedFrame,
-    SessionInfo, encode_jpeg,
+    SessionInfo, encode_jpeg, is_obeyed,
 };
 use monogrid_fleet::agent::{Link, LinkError};
 use monogrid_fleet::messages::{Fleet, PREFIX, RunKey};
@@ -595,5 +595,21 @@ fn a_thread_that_dies_ends_a_server_with_code_1_and_a_sentence() {
             sentence.is_some() && said.contains("start the server again"),
             "{said}"
         );
+    }
+}
+
+#[test]
+fn names_are_shown_and_never_obeyed() {
+    let name = "\x1b[2J\u{9b}31m\u{202e}gnp";
+    let option = format!("--{name}");
+    for words in [
+        &["agent", "--follow", name, "--connect", "tcp/127.0.0.1:1"][..],
+        &["server", "--out", "/dev/null", "--zenoh-config", name],
+        &["agent", &option],
+    ] {
+        let ended = Command::new(PROGRAM).args(words).output().unwrap();
+        let said = String::from_utf8_lossy(&ended.stderr);
+        assert!(!said.contains(|c| c != '\n' && is_obeyed(c)), "{said:?}");
+        assert!(said.contains("\\u001b[2J"), "{said}");
     }
 }

@@ -90,7 +90,10 @@ impl Link {
             Ok(sample) => return Ok(sample.payload().to_bytes().into_owned()),
             Err(error) => error.payload().to_bytes(),
         };
-        let text = plain(&String::from_utf8_lossy(&error));
+        let text: String = String::from_utf8_lossy(&error)
+            .chars()
+            .take(MAX_TEXT)
+            .collect();
         // what the way itself says has no words of ours
         Err(match text.strip_prefix(REFUSED) {
             Some(why) => LinkError::Refused(why.to_owned()),
@@ -107,11 +110,5 @@ fn parsed<T: DeserializeOwned>(answer: &[u8]) -> Result<T, LinkError> {
         .map_err(|error| LinkError::Refused(format!("its answer is not understood: {error}")))
 }
 
-/// Longest text of a server that is shown.
+/// Longest text of a server that is kept.
 const MAX_TEXT: usize = 1000;
-
-/// A text of a server as one that a terminal can show.
-fn plain(text: &str) -> String {
-    let shown = |c: char| if c.is_control() { '\u{fffd}' } else { c };
-    text.chars().take(MAX_TEXT).map(shown).collect()
-}

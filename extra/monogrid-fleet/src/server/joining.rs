@@ -166,7 +166,7 @@ fn start(
 /// Longest text of a reason, bytes.
 const MAX_REASON_BYTES: u64 = 300;
 
-/// The last line that the process said, as one that a terminal can show.
+/// The last line that the process said.
 fn last_line(log: &Path) -> String {
     let end = || -> std::io::Result<String> {
         let mut file = File::open(log)?;
@@ -178,7 +178,7 @@ fn last_line(log: &Path) -> String {
     };
     let text = end().unwrap_or_default();
     let line = text.lines().rfind(|line| !line.trim().is_empty());
-    line.unwrap_or("it said nothing").escape_debug().to_string()
+    line.unwrap_or("it said nothing").to_owned()
 }
 
 /// Looks for the run that keeps others from being joined: the last one of the fewest, in the order
