@@ -20,7 +20,7 @@ const SMALL_BYTES: u64 = 1 << 20;
 /// 1 Mbit/s. Any may have four hundred images of 640 x 480.
 const SOURCE: Allowance = Allowance {
     any: 1 << 27,
-    per_small_byte: 128,
+    per_small_byte: 256,
     per_byte: 4096,
 };
 
@@ -115,8 +115,8 @@ mod tests {
         let path = Path::new("a.zip");
         let of_source = |bytes| images_of(PixelBudget::of_source(path, bytes));
         assert_eq!(of_source(0), 128);
-        assert_eq!(of_source(1 << 20), 128 + 128);
-        assert_eq!(of_source(2 << 20), 128 + 128 + 4096);
+        assert_eq!(of_source(1 << 20), 128 + 256);
+        assert_eq!(of_source(2 << 20), 128 + 256 + 4096);
         assert_eq!(images_of(PixelBudget::of_recording(path, 1 << 20)), 2 + 8);
         let mut largest = PixelBudget::of_source(path, u64::MAX);
         assert_eq!(largest.spend(usize::MAX, usize::MAX), Ok(()));
@@ -127,6 +127,6 @@ mod tests {
         let mut budget = PixelBudget::of_source(Path::new("plain.zip"), 1000);
         let error = budget.spend(1 << 20, 1 << 20).unwrap_err().to_string();
         assert!(error.contains("plain.zip\" stores 1000 bytes"), "{error}");
-        assert!(error.contains("more than 134345728 pixels"), "{error}");
+        assert!(error.contains("more than 134473728 pixels"), "{error}");
     }
 }
