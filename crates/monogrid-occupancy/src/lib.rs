@@ -66,8 +66,9 @@
 //!
 //! [`OccupancyMap::merge`], [`OccupancyMap::cropped`], [`OccupancyMap::within`] and
 //! [`OccupancyMap::transformed`] make maps from maps. Files are OctoMap's `.ot` ([`read_ot`],
-//! [`write_ot`]) and `.bt` ([`read_bt`], [`write_bt`]), the exact and small `.mgo` ([`read_mgo`],
-//! [`write_mgo`]; [`read_map`] tells them apart), and point clouds ([`write_ply`], [`write_pcd`]).
+//! [`write_ot`], in colour [`write_colour_ot`]) and `.bt` ([`read_bt`], [`write_bt`]), the exact
+//! and small `.mgo` ([`read_mgo`], [`write_mgo`]; [`read_map`] tells them apart), and point clouds
+//! ([`write_ply`], [`write_pcd`]).
 //! Writers stream; readers are given a memory budget and take any bytes without a panic.
 //! [`save_atomically`] keeps the old file until the new one is on disk.
 //!
@@ -109,7 +110,7 @@ pub use integrate::{
 };
 pub use io::{
     MGO_MAGIC, MapFormat, read_bt, read_map, read_mgo, read_ot, save_atomically, write_bt,
-    write_mgo, write_ot, write_pcd, write_ply,
+    write_colour_ot, write_mgo, write_ot, write_pcd, write_ply,
 };
 pub use key::{BRICK_CELLS, BRICK_EDGE, BrickKey, VoxelKey};
 pub use keyframes::{KeyframeChange, KeyframeMap};

@@ -21,7 +21,12 @@ const FORMAT: &str = ".bt";
 pub fn write_bt(map: &OccupancyMap, out: &mut impl Write) -> Result<(), MapError> {
     let octree = Octree::new(map, View::Likely)?;
     let mut out = BufWriter::new(out);
-    header::write(&mut out, TITLE, octree.counts.nodes, map.resolution())?;
+    header::write(
+        &mut out,
+        [TITLE, header::OCTREE],
+        octree.counts.nodes,
+        map.resolution(),
+    )?;
     let mut write = |children: &[Node; 8]| {
         let codes = children.map(|child| match child {
             Node::Unknown => 0,

@@ -8,6 +8,9 @@ use crate::evidence::{evidence_from_log_odds, log_odds_from_probability};
 use crate::key::{BRICK_EDGE, VoxelKey};
 use crate::map::{MapConfig, OccupancyMap};
 
+/// OctoMap's names of its trees: with occupancy alone, and with a colour in each node.
+pub(crate) const OCTREE: &str = "OcTree";
+pub(crate) const COLOUR_OCTREE: &str = "ColorOcTree";
 /// Depth of OctoMap's trees.
 pub(crate) const TREE_DEPTH: u32 = 16;
 /// Longest header that is believed: a file without one must not be read to its end in search.
@@ -31,17 +34,17 @@ pub(crate) struct Header {
     pub resolution: f64,
 }
 
-/// Writes the header with the first line `title`.
+/// Writes the header with the first line `title`, of a kind of tree.
 pub(crate) fn write(
     out: &mut impl Write,
-    title: &str,
+    [title, id]: [&str; 2],
     nodes: usize,
     resolution: f64,
 ) -> Result<(), MapError> {
     write!(
         out,
         "{title}\n# (feel free to add / change comments, but leave the first line as it is!)\n#\n\
-         id OcTree\nsize {nodes}\nres {resolution}\ndata\n"
+         id {id}\nsize {nodes}\nres {resolution}\ndata\n"
     )
     .map_err(MapError::io("writing the map header"))
 }
@@ -95,7 +98,7 @@ impl Header {
         match self.id.as_str() {
             // `1` before trees had names
             "OcTree" | "OcTreeStamped" | "1" => Some(0),
-            "ColorOcTree" => Some(3),
+            COLOUR_OCTREE => Some(3),
             _ => None,
         }
     }
@@ -124,7 +127,7 @@ pub(crate) fn read_legacy(input: &mut impl Read, format: &'static str) -> Result
     let resolution = f64::from_le_bytes(read_array(input, format)?);
     let size = u32::from_le_bytes(read_array(input, format)?);
     let header = Header {
-        id: "OcTree".to_owned(),
+        id: OCTREE.to_owned(),
         size: size.into(),
         resolution,
     };

@@ -12,7 +12,7 @@ pub use bt::{read_bt, write_bt};
 pub use cloud::{write_pcd, write_ply};
 pub use compact::{MGO_MAGIC, read_mgo, write_mgo};
 pub use named::{MapFormat, read_map};
-pub use ot::{read_ot, write_ot};
+pub use ot::{read_ot, write_colour_ot, write_ot};
 pub use save::save_atomically;
 
 use crate::error::MapError;

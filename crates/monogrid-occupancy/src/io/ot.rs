@@ -1,13 +1,16 @@
 //! OctoMap's `.ot`: the full tree, every node an `f32` log-odds and a byte of children, children
-//! depth first. Inner nodes hold the largest value below them.
+//! depth first. Inner nodes hold the largest value below them. A `ColorOcTree` has red, green and
+//! blue behind the log-odds.
 
+use std::collections::BTreeMap;
 use std::io::{BufReader, BufWriter, Read, Write};
 
 use super::header::{self, Cube, TREE_DEPTH, read_array};
 use super::write_error;
 use crate::error::MapError;
+use crate::key::VoxelKey;
 use crate::map::OccupancyMap;
-use crate::octree::{Node, Octree, View};
+use crate::octree::{Leaf, Node, Octree, View};
 
 const TITLE: &str = "# Octomap OcTree file";
 const FORMAT: &str = ".ot";
@@ -18,16 +21,84 @@ const FORMAT: &str = ".ot";
 /// # Errors
 /// Writing fails, or a cell is beyond OctoMap's 16-bit keys.
 pub fn write_ot(map: &OccupancyMap, out: &mut impl Write) -> Result<(), MapError> {
+    write_tree(map, header::OCTREE, |_| [], out)
+}
+
+/// Writes a map as a `ColorOcTree`, pruned: cells have the colours (red, green, blue) that are
+/// given, nodes above them the mean of the colours below, and all others are white, as OctoMap
+/// leaves what has no colour.
+///
+/// # Errors
+/// Writing fails, or a cell is beyond OctoMap's 16-bit keys.
+pub fn write_colour_ot(
+    map: &OccupancyMap,
+    colours: impl IntoIterator<Item = (VoxelKey, [u8; 3])>,
+    out: &mut impl Write,
+) -> Result<(), MapError> {
+    // of the cubes of each edge that hold coloured cells
+    let mut means: BTreeMap<(u32, VoxelKey), Mean> = BTreeMap::new();
+    for (cell, colour) in colours {
+        for depth in 0..=TREE_DEPTH {
+            let edge = 1 << (TREE_DEPTH - depth);
+            means.entry(cube_of(cell, edge)).or_default().add(colour);
+        }
+    }
+    let colour = |node: &Leaf| {
+        let mean = means.get(&(node.edge_cells, node.first));
+        mean.map_or([u8::MAX; 3], Mean::colour)
+    };
+    write_tree(map, header::COLOUR_OCTREE, colour, out)
+}
+
+/// The cube of OctoMap's tree with this edge that holds a cell.
+fn cube_of(cell: VoxelKey, edge: i32) -> (u32, VoxelKey) {
+    let origin = Cube::ROOT.first.to_array();
+    let mut first = cell.to_array();
+    for (value, origin) in first.iter_mut().zip(origin) {
+        *value -= (*value - origin).rem_euclid(edge);
+    }
+    (edge as u32, VoxelKey::from_array(first))
+}
+
+/// The mean of colours.
+#[derive(Default)]
+struct Mean {
+    sum: [u64; 3],
+    count: u64,
+}
+
+impl Mean {
+    fn add(&mut self, colour: [u8; 3]) {
+        for (sum, value) in self.sum.iter_mut().zip(colour) {
+            *sum += u64::from(value);
+        }
+        self.count += 1;
+    }
+
+    fn colour(&self) -> [u8; 3] {
+        let count = self.count.max(1);
+        self.sum.map(|sum| ((sum + count / 2) / count) as u8)
+    }
+}
+
+/// Writes a tree whose nodes have `N` bytes more behind their log-odds.
+fn write_tree<const N: usize>(
+    map: &OccupancyMap,
+    id: &str,
+    more: impl Fn(&Leaf) -> [u8; N],
+    out: &mut impl Write,
+) -> Result<(), MapError> {
     let octree = Octree::new(map, View::Evidence)?;
     let mut out = BufWriter::new(out);
-    header::write(&mut out, TITLE, octree.counts.nodes, map.resolution())?;
+    header::write(&mut out, [TITLE, id], octree.counts.nodes, map.resolution())?;
     octree.visit(&mut |node, children| {
-        let [a, b, c, d] = node.log_odds().to_le_bytes();
         let mask = (0..8).fold(0, |mask, octant| {
             let is_known = children.is_some_and(|children| children[octant] != Node::Unknown);
             mask | u8::from(is_known) << octant
         });
-        out.write_all(&[a, b, c, d, mask]).map_err(write_error)
+        let node_bytes = [&node.log_odds().to_le_bytes(), &more(&node)[..], &[mask]];
+        let mut parts = node_bytes.into_iter();
+        parts.try_for_each(|part| out.write_all(part).map_err(write_error))
     })?;
     out.flush().map_err(write_error)
 }

@@ -228,6 +228,70 @@ fn trees_of_other_names_and_of_old_versions_are_read() {
     assert!(error.contains("CountingOcTree"), "{error}");
 }
 
+/// A node of a `ColorOcTree`: first cell and edge, log-odds, colour, whether it has children.
+type ColourNode = ([i32; 3], i32, f32, [u8; 3], bool);
+
+/// All nodes of the tree in a file, as OctoMap's documentation describes it.
+fn colour_nodes(file: &[u8]) -> Vec<ColourNode> {
+    fn node(bytes: &mut &[u8], first: [i32; 3], edge: i32, nodes: &mut Vec<ColourNode>) {
+        let (head, rest) = bytes.split_at(8);
+        *bytes = rest;
+        let log_odds = f32::from_le_bytes(head[..4].try_into().unwrap());
+        let [.., children] = head else { unreachable!() };
+        let colour = head[4..7].try_into().unwrap();
+        nodes.push((first, edge, log_odds, colour, *children != 0));
+        for octant in (0..8).filter(|octant| children >> octant & 1 == 1) {
+            let half = edge / 2;
+            let moved = [0, 1, 2].map(|axis| first[axis] + half * (octant >> axis & 1));
+            node(bytes, moved, half, nodes);
+        }
+    }
+    let data = b"\ndata\n";
+    let at = file.windows(data.len()).position(|w| w == data).unwrap();
+    let (mut bytes, mut nodes) = (&file[at + data.len()..], Vec::new());
+    node(&mut bytes, [-32768; 3], 65536, &mut nodes);
+    assert!(bytes.is_empty());
+    nodes
+}
+
+#[test]
+fn a_tree_in_colour_has_the_colours_of_its_cells_and_their_mean_above() {
+    let mut map = small_map();
+    // eight equal cells, which are one leaf
+    for [x, y, z] in (0..8).map(|k| [-40 + (k & 1), 6 + (k >> 1 & 1), 10 + (k >> 2)]) {
+        map.set_log_odds(VoxelKey::new(x, y, z), Some(3.0)).unwrap();
+    }
+    let red = (VoxelKey::new(0, 0, 1), [200, 10, 20]);
+    let colours = [
+        red,
+        (VoxelKey::new(-40, 6, 10), [0, 0, 0]),
+        (VoxelKey::new(-39, 7, 11), [100, 50, 25]),
+    ];
+    let mut file = Vec::new();
+    write_colour_ot(&map, colours, &mut file).unwrap();
+    assert!(file.starts_with(b"# Octomap OcTree file\n"));
+    let text = String::from_utf8_lossy(&file[..200]).into_owned();
+    assert!(text.contains("\nid ColorOcTree\n"), "{text}");
+    assert_eq!(
+        states(&read_ot(&file[..], usize::MAX).unwrap()),
+        states(&map)
+    );
+    let nodes = colour_nodes(&file);
+    assert!(
+        text.contains(&format!("\nsize {}\n", nodes.len())),
+        "{text}"
+    );
+    let colour_of = |first: [i32; 3], edge: i32| {
+        let found = nodes.iter().find(|n| (n.0, n.1) == (first, edge));
+        found.map(|n| (n.3, n.4))
+    };
+    assert_eq!(colour_of([0, 0, 1], 1), Some((red.1, false)));
+    // a cell without a colour
+    assert_eq!(colour_of([3, -6, 1], 1), Some(([255; 3], false)));
+    assert_eq!(colour_of([-40, 6, 10], 2), Some(([50, 25, 13], false)));
+    assert_eq!(colour_of([-32768; 3], 65536), Some(([100, 20, 15], true)));
+}
+
 #[test]
 fn eighths_of_all_space_that_are_free_are_left_out_and_counted() {
     // a root with seven free leaves, and one octant down to a cell
