@@ -177,7 +177,7 @@ pub enum Command {
     /// Count the cells whose state differs between two maps
     #[command(after_help = "Example: monogrid diff morning.ot evening.ot")]
     Diff(tools::DiffArgs),
-    /// Surface of a map as a triangle mesh: .ply, .glb, .obj or .stl
+    /// Surface of a map as a triangle mesh: .ply, .glb, .obj, .stl, .dxf or .usdz
     #[command(after_help = "Example: monogrid mesh kitchen.ot kitchen.glb")]
     Mesh(tools::MeshArgs),
     /// Map seen from above as .pgm and .yaml for nav2's map server

@@ -21,8 +21,8 @@ pub enum ReportError {
     },
     /// The name of a mesh has no ending that is a format.
     #[error(
-        "cannot tell the format of the mesh from {}: expected a name that ends in .ply, .glb, .obj \
-         or .stl",
+        "cannot tell the format of the mesh from {}: expected a name that ends in .ply, .glb, \
+         .obj, .stl, .dxf or .usdz",
         path.display()
     )]
     MeshFormat {

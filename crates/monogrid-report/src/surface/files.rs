@@ -1,7 +1,7 @@
-//! Meshes as files: binary little-endian PLY, glTF 2.0 in its binary form (`.glb`), Wavefront OBJ
-//! and binary STL.
+//! Meshes as files: binary little-endian PLY, glTF 2.0 in its binary form (`.glb`), Wavefront OBJ,
+//! binary STL, DXF and USDZ.
 
-use super::ColouredMesh;
+use super::{ColouredMesh, usdz};
 use crate::ReportError;
 use monogrid_geometry::nalgebra::Vector3;
 use serde_json::{Value, json};
@@ -20,6 +20,11 @@ pub enum MeshFormat {
     Obj,
     /// Binary STL: triangles alone, without colour.
     Stl,
+    /// DXF of AutoCAD's release 12, which every program of this kind reads: triangles as faces,
+    /// without colour.
+    Dxf,
+    /// USD in an archive, with normals and colours, y up as its readers expect.
+    Usdz,
 }
 
 impl MeshFormat {
@@ -31,6 +36,8 @@ impl MeshFormat {
             Some("glb") => Ok(Self::Glb),
             Some("obj") => Ok(Self::Obj),
             Some("stl") => Ok(Self::Stl),
+            Some("dxf") => Ok(Self::Dxf),
+            Some("usdz") => Ok(Self::Usdz),
             _ => Err(ReportError::MeshFormat {
                 path: path.to_owned(),
             }),
@@ -44,6 +51,8 @@ impl MeshFormat {
             Self::Glb => write_glb(mesh, unit, out),
             Self::Obj => write_obj(mesh, unit, out),
             Self::Stl => write_stl(mesh, unit, out),
+            Self::Dxf => write_dxf(mesh, unit, out),
+            Self::Usdz => usdz::write(mesh, unit, out),
         }
     }
 }
@@ -111,6 +120,25 @@ fn write_stl(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result
         out.write_all(&[0, 0])?;
     }
     Ok(())
+}
+
+/// Faces of three corners, in groups of a code and a value: 8 is the layer, and the coordinates of
+/// corner k are 10 + k, 20 + k, 30 + k. A fourth corner that is the third makes a triangle.
+fn write_dxf(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result<()> {
+    let surface = &mesh.surface;
+    write!(
+        out,
+        "999\nmonogrid, lengths in {unit}\n0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1009\n0\n\
+         ENDSEC\n0\nSECTION\n2\nENTITIES\n"
+    )?;
+    for [a, b, c] in &surface.triangles {
+        write!(out, "0\n3DFACE\n8\nsurface\n")?;
+        for (corner, index) in [a, b, c, c].into_iter().enumerate() {
+            let [x, y, z] = surface.vertices[*index as usize];
+            write!(out, "1{corner}\n{x}\n2{corner}\n{y}\n3{corner}\n{z}\n")?;
+        }
+    }
+    write!(out, "0\nENDSEC\n0\nEOF\n")
 }
 
 /// The unit normal of a triangle by the right-hand rule; 0 where it has no area.
@@ -228,14 +256,18 @@ fn description(mesh: &ColouredMesh, unit: &str, bytes: &[usize; 4]) -> Value {
 fn linear_colour(srgb: &[u8; 3]) -> [u8; 8] {
     let mut bytes = [255; 8];
     for (two, value) in bytes.chunks_exact_mut(2).zip(srgb) {
-        let value = f64::from(*value) / 255.0;
-        let linear = match value <= 0.04045 {
-            true => value / 12.92,
-            false => ((value + 0.055) / 1.055).powf(2.4),
-        };
-        two.copy_from_slice(&((linear * 65535.0).round() as u16).to_le_bytes());
+        two.copy_from_slice(&((linear(*value) * 65535.0).round() as u16).to_le_bytes());
     }
     bytes
+}
+
+/// The light of a value of sRGB, from 0 to 1.
+pub(super) fn linear(srgb: u8) -> f64 {
+    let value = f64::from(srgb) / 255.0;
+    match value <= 0.04045 {
+        true => value / 12.92,
+        false => ((value + 0.055) / 1.055).powf(2.4),
+    }
 }
 
 #[cfg(test)]
@@ -313,6 +345,24 @@ mod tests {
         // the corners go clockwise as seen from above
         assert_eq!(numbers[..3], [0.0, 0.0, -1.0]);
         assert_eq!(numbers[6..9], [2.0, 0.0, 1.0]);
+    }
+
+    #[test]
+    fn a_dxf_has_a_face_for_each_triangle() {
+        let dxf = String::from_utf8(written(MeshFormat::Dxf, &triangle())).unwrap();
+        let lines: Vec<&str> = dxf.lines().collect();
+        let groups: Vec<(&str, &str)> = lines.chunks(2).map(|two| (two[0], two[1])).collect();
+        let faces = groups.iter().filter(|group| **group == ("0", "3DFACE"));
+        assert_eq!(faces.count(), 1);
+        let values = |corner: usize| {
+            let code = |k: usize| format!("{k}{corner}");
+            let value = |k| groups.iter().find(|(c, _)| *c == code(k)).unwrap().1;
+            [1, 2, 3].map(value)
+        };
+        assert_eq!(values(1), ["2", "0", "1"]);
+        assert_eq!(values(2), ["0", "-3", "1"]);
+        assert_eq!(values(3), values(2));
+        assert_eq!(groups.last(), Some(&("0", "EOF")));
     }
 
     #[test]

@@ -1,8 +1,9 @@
-//! The surface of a map as a mesh in colour: made from the map and the keyframes, written as PLY
-//! and glTF.
+//! The surface of a map as a mesh in colour: made from the map and the keyframes, written as PLY,
+//! glTF and what other programs read.
 
 mod colour;
 mod files;
+mod usdz;
 
 pub use colour::{CellColours, ColouredMesh, ColouredScan};
 pub use files::MeshFormat;

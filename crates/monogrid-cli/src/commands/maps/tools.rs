@@ -109,7 +109,7 @@ pub struct ConvertArgs {
 pub struct MeshArgs {
     /// Map to read (.ot, .bt or .mgo)
     pub map: PathBuf,
-    /// Mesh to write: .ply, .glb, .obj or .stl
+    /// Mesh to write: .ply, .glb, .obj, .stl, .dxf or .usdz
     pub output: PathBuf,
     /// Pieces of the surface with fewer faces of cells are left out; 0 keeps all
     #[arg(long, value_name = "N", default_value_t = MeshConfig::default().min_faces)]

@@ -1,0 +1,208 @@
+//! USDZ: a scene of Universal Scene Description in an archive that is not compressed.
+//!
+//! <https://openusd.org/release/spec_usdz.html>: a zip whose files are stored as they are and begin
+//! at multiples of 64 bytes. The scene is text (`.usda`).
+
+use super::ColouredMesh;
+use super::files::linear;
+use std::fmt::Write as _;
+use std::io::{self, Write};
+
+const NAME: &str = "surface.usda";
+/// What the bytes of a file in the archive begin at a multiple of.
+const ALIGNMENT: usize = 64;
+
+/// Writes the surface, turned from z up to y up.
+pub(super) fn write(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result<()> {
+    let scene = scene(mesh, unit);
+    out.write_all(&archive(scene.as_bytes())?)
+}
+
+/// Values between brackets.
+fn list(values: impl Iterator<Item = String>) -> String {
+    format!("[{}]", values.collect::<Vec<String>>().join(", "))
+}
+
+fn triples<T: ToString>(values: impl Iterator<Item = [T; 3]>) -> String {
+    list(values.map(|three| {
+        let [x, y, z] = three.map(|value| value.to_string());
+        format!("({x}, {y}, {z})")
+    }))
+}
+
+fn scene(mesh: &ColouredMesh, unit: &str) -> String {
+    let surface = &mesh.surface;
+    let mut text = format!(
+        "#usda 1.0\n(\n    defaultPrim = \"map\"\n    doc = \"monogrid, lengths in {unit}\"\n    \
+         metersPerUnit = 1\n    upAxis = \"Y\"\n)\n\ndef Xform \"map\"\n{{\n    \
+         float xformOp:rotateX = -90\n    uniform token[] xformOpOrder = [\"xformOp:rotateX\"]\n\n    \
+         def Mesh \"surface\"\n    {{\n        uniform bool doubleSided = 1\n        \
+         uniform token subdivisionScheme = \"none\"\n"
+    );
+    let corner = |limit: f32, of: fn(f32, f32) -> f32| {
+        let vertices = surface.vertices.iter();
+        vertices.fold([limit; 3], |corner, vertex| {
+            [0, 1, 2].map(|axis| of(corner[axis], vertex[axis]))
+        })
+    };
+    let box_of_all = [
+        (f32::INFINITY, f32::min as fn(f32, f32) -> f32),
+        (f32::NEG_INFINITY, f32::max),
+    ];
+    let colours = mesh.colours.iter().map(|colour| {
+        let linear = colour.map(|value| format!("{:.4}", linear(value)));
+        linear
+    });
+    let lines = [
+        (
+            "float3[] extent",
+            triples(box_of_all.into_iter().map(|(limit, of)| corner(limit, of))),
+            "",
+        ),
+        (
+            "int[] faceVertexCounts",
+            list(surface.triangles.iter().map(|_| "3".to_owned())),
+            "",
+        ),
+        (
+            "int[] faceVertexIndices",
+            list(surface.triangles.iter().flatten().map(u32::to_string)),
+            "",
+        ),
+        (
+            "point3f[] points",
+            triples(surface.vertices.iter().copied()),
+            "",
+        ),
+        (
+            "normal3f[] normals",
+            triples(surface.normals.iter().copied()),
+            " (interpolation = \"vertex\")",
+        ),
+        (
+            "color3f[] primvars:displayColor",
+            triples(colours),
+            " (interpolation = \"vertex\")",
+        ),
+    ];
+    // a surface without triangles has no extent
+    let skipped = usize::from(surface.vertices.is_empty());
+    for (name, values, metadata) in &lines[skipped..] {
+        _ = writeln!(text, "        {name} = {values}{metadata}");
+    }
+    text + "    }\n}\n"
+}
+
+/// Little-endian fields of two and four bytes, one after the other (PKWARE's APPNOTE.TXT, 4.3).
+#[derive(Default)]
+struct Fields(Vec<u8>);
+
+impl Fields {
+    fn two(mut self, values: &[u16]) -> Self {
+        self.0
+            .extend(values.iter().flat_map(|value| value.to_le_bytes()));
+        self
+    }
+
+    fn four(mut self, values: &[u32]) -> Self {
+        self.0
+            .extend(values.iter().flat_map(|value| value.to_le_bytes()));
+        self
+    }
+
+    fn bytes(mut self, values: &[u8]) -> Self {
+        self.0.extend(values);
+        self
+    }
+}
+
+/// A zip of one file. Its date is always the first that there is, 1 January 1980.
+fn archive(content: &[u8]) -> io::Result<Vec<u8>> {
+    const LOCAL: u32 = 0x0403_4b50;
+    const CENTRAL: u32 = 0x0201_4b50;
+    const END: u32 = 0x0605_4b50;
+    const LOCAL_BYTES: usize = 30;
+    // version of the format, flags, method (stored), time, date
+    const COMMON: [u16; 5] = [20, 0, 0, 0, 0x21];
+    // of the field that fills up to the alignment: its number, which nobody else has, and its size
+    const FILLER: u16 = 0x1986;
+    const FILLER_HEAD: usize = 4;
+    let size = u32::try_from(content.len()).map_err(io::Error::other)?;
+    let sizes = [crc32fast::hash(content), size, size];
+    let before = LOCAL_BYTES + NAME.len() + FILLER_HEAD;
+    let filled = before.next_multiple_of(ALIGNMENT) - before;
+    let name_bytes = NAME.len() as u16;
+    let local = Fields::default()
+        .four(&[LOCAL])
+        .two(&COMMON)
+        .four(&sizes)
+        .two(&[name_bytes, (FILLER_HEAD + filled) as u16])
+        .bytes(NAME.as_bytes())
+        .two(&[FILLER, filled as u16])
+        .bytes(&vec![0; filled])
+        .bytes(content);
+    let directory_at = u32::try_from(local.0.len()).map_err(io::Error::other)?;
+    let directory = Fields::default()
+        .four(&[CENTRAL])
+        .two(&COMMON[..1])
+        .two(&COMMON)
+        .four(&sizes)
+        // no extra field, comment, other disk, attributes; the file is at the beginning
+        .two(&[name_bytes, 0, 0, 0, 0])
+        .four(&[0, 0])
+        .bytes(NAME.as_bytes());
+    let directory_bytes = directory.0.len() as u32;
+    let end = Fields::default()
+        .four(&[END])
+        .two(&[0, 0, 1, 1])
+        .four(&[directory_bytes, directory_at])
+        .two(&[0]);
+    Ok([local.0, directory.0, end.0].concat())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use monogrid_occupancy::{SurfaceMesh, VoxelKey};
+    use std::io::Read;
+
+    fn triangle() -> ColouredMesh {
+        ColouredMesh {
+            surface: SurfaceMesh {
+                vertices: vec![[0.0, 0.0, 1.0], [2.5, 0.0, 1.0], [0.0, -3.0, 1.0]],
+                normals: vec![[0.0, 0.0, 1.0]; 3],
+                cubes: vec![VoxelKey::new(0, 0, 0); 3],
+                triangles: vec![[0, 1, 2]],
+            },
+            colours: vec![[255, 0, 188], [9, 9, 9], [1, 2, 3]],
+        }
+    }
+
+    #[test]
+    fn the_archive_is_one_that_others_read_and_its_file_is_aligned() {
+        let mut bytes = Vec::new();
+        write(&triangle(), "m", &mut bytes).unwrap();
+        let mut zip = zip::ZipArchive::new(io::Cursor::new(&bytes)).unwrap();
+        assert_eq!(zip.len(), 1);
+        let mut file = zip.by_index(0).unwrap();
+        assert_eq!(file.name().unwrap(), NAME);
+        assert_eq!(file.compression(), zip::CompressionMethod::Stored);
+        assert_eq!(file.data_start().unwrap() % ALIGNMENT as u64, 0);
+        let mut text = String::new();
+        file.read_to_string(&mut text).unwrap();
+        assert!(text.starts_with("#usda 1.0\n"));
+        for line in [
+            "float3[] extent = [(0, -3, 1), (2.5, 0, 1)]",
+            "int[] faceVertexCounts = [3]",
+            "int[] faceVertexIndices = [0, 1, 2]",
+            "point3f[] points = [(0, 0, 1), (2.5, 0, 1), (0, -3, 1)]",
+        ] {
+            assert!(text.contains(line), "{text}");
+        }
+        // 188 of sRGB is half of the light
+        assert!(
+            text.contains("displayColor = [(1.0000, 0.0000, 0.5029), "),
+            "{text}"
+        );
+    }
+}
