@@ -4,8 +4,10 @@
     scripts/exports.py RUN [PROGRAM]
 
 Exports the run in every format into a temporary folder and opens each with a reader that is not
-ours: COLMAP's model with pycolmap, OBJ and STL with trimesh, LAS with laspy; the cameras of
-transforms.json are compared with those of pycolmap. Needs `pip install pycolmap trimesh laspy`.
+ours: COLMAP's model with pycolmap, OBJ and STL with trimesh, LAS with laspy, DXF with ezdxf, USDZ
+with usd-core, the map in colour with pyoctomap; the cameras of transforms.json are compared with
+those of pycolmap, and read by nerfstudio where that is installed (`pip install nerfstudio`, which
+brings PyTorch). Needs `pip install pycolmap trimesh laspy ezdxf usd-core pyoctomap`.
 """
 
 import json
@@ -14,17 +16,23 @@ import sys
 import tempfile
 from pathlib import Path
 
+import ezdxf
 import laspy
 import numpy
 import pycolmap
+import pyoctomap
 import trimesh
+from pxr import Usd, UsdGeom, UsdUtils
+
+
+FORMATS = ("colmap", "nerf", "obj", "stl", "las", "dxf", "usdz", "ot")
 
 
 def main():
     run = Path(sys.argv[1])
     program = sys.argv[2] if len(sys.argv) > 2 else "target/release/monogrid"
     with tempfile.TemporaryDirectory() as folder:
-        out = {to: Path(folder) / f"out.{to}" for to in ("colmap", "nerf", "obj", "stl", "las")}
+        out = {to: Path(folder) / f"out.{to}" for to in FORMATS}
         for to, path in out.items():
             command = [program, "export", run, "--to", to, "--out", path]
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
@@ -41,6 +49,7 @@ def main():
         text = pycolmap.Reconstruction(out["colmap"] / "sparse/0")
         assert text.summary() == model.summary(), text.summary()
         compare_cameras(model, json.loads((out["nerf"] / "transforms.json").read_text()))
+        read_by_nerfstudio(out["nerf"], len(model.images))
         original = trimesh.load(run / "mesh.ply", process=False)
         for to in ("obj", "stl"):
             mesh = trimesh.load(out[to], process=False)
@@ -52,6 +61,57 @@ def main():
         assert numpy.allclose(points.xyz, cloud.vertices, atol=1e-3)
         assert (numpy.stack([points.red, points.green, points.blue], 1) // 257 == cloud.colors[:, :3]).all()
         print(f"laspy: {len(points)} points")
+        check_dxf(out["dxf"], original)
+        check_usdz(out["usdz"], original)
+        check_colours(out["ot"], run / "cells.ply")
+
+
+def read_by_nerfstudio(folder, count):
+    try:
+        from nerfstudio.data.dataparsers.nerfstudio_dataparser import NerfstudioDataParserConfig
+    except ImportError as error:
+        print(f"nerfstudio: not installed ({error})")
+        return
+    parser = NerfstudioDataParserConfig(data=folder, eval_mode="all", load_3D_points=True).setup()
+    outputs = parser.get_dataparser_outputs(split="train")
+    assert len(outputs.image_filenames) == len(outputs.cameras) == count
+    points = outputs.metadata["points3D_xyz"]
+    print(f"nerfstudio: {len(outputs.cameras)} cameras, {len(points)} points")
+
+
+def check_dxf(file, mesh):
+    document = ezdxf.readfile(file)
+    assert not document.audit().has_errors
+    faces = document.modelspace().query("3DFACE")
+    corners = numpy.array([[face.dxf.vtx0, face.dxf.vtx1, face.dxf.vtx2] for face in faces])
+    assert numpy.allclose(corners, mesh.vertices[mesh.faces], atol=1e-4)
+    print(f"ezdxf: {len(faces)} faces")
+
+
+def check_usdz(file, mesh):
+    checker = UsdUtils.ComplianceChecker()
+    checker.CheckCompliance(str(file))
+    problems = checker.GetErrors() + checker.GetFailedChecks()
+    assert not problems, problems
+    surface = UsdGeom.Mesh(Usd.Stage.Open(str(file)).GetPrimAtPath("/map/surface"))
+    assert numpy.allclose(surface.GetPointsAttr().Get(), mesh.vertices, atol=1e-4)
+    indices = numpy.array(surface.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+    assert (indices == mesh.faces).all()
+    colours = UsdGeom.PrimvarsAPI(surface).GetPrimvar("displayColor").Get()
+    assert len(colours) == len(mesh.vertices)
+    print(f"usd-core: {len(indices)} triangles in colour")
+
+
+def check_colours(file, cells):
+    tree = pyoctomap.ColorOcTree.read(str(file))
+    assert isinstance(tree, pyoctomap.ColorOcTree), tree
+    cloud = trimesh.load(cells)
+    for place, colour in list(zip(cloud.vertices, cloud.colors))[:: max(1, len(cloud.vertices) // 500)]:
+        node = tree.search(numpy.array(place, dtype=float))
+        found = node.getColor()
+        # a leaf of several cells has their mean
+        assert node.getOccupancy() > 0.5 and numpy.abs(numpy.array(found) - colour[:3]).max() < 100
+    print(f"pyoctomap: {tree.getNumLeafNodes()} leaves in colour")
 
 
 def reprojection_errors(model):

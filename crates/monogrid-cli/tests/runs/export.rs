@@ -51,7 +51,7 @@ fn elements(ply: &Path, name: &str) -> usize {
 fn surface_and_cloud_become_files_of_others() {
     let dir = tempfile::tempdir().unwrap();
     let faces = elements(&first_run().join("mesh.ply"), "element face");
-    for to in ["obj", "stl"] {
+    for to in ["obj", "stl", "dxf", "usdz"] {
         let out = dir.path().join(format!("room.{to}"));
         let output = export(first_run(), to, &out);
         assert_eq!(code(&output), 0, "{}", stderr(&output));
@@ -64,6 +64,10 @@ fn surface_and_cloud_become_files_of_others() {
     );
     let stl = std::fs::read(dir.path().join("room.stl")).unwrap();
     assert_eq!(stl.len(), 84 + 50 * faces);
+
+    let dxf = std::fs::read_to_string(dir.path().join("room.dxf")).unwrap();
+    assert_eq!(dxf.lines().filter(|line| *line == "3DFACE").count(), faces);
+    assert!(std::fs::read(dir.path().join("room.usdz")).unwrap().len() > 100 * faces);
 
     let out = dir.path().join("room.las");
     let output = export(first_run(), "las", &out);
@@ -81,6 +85,45 @@ fn surface_and_cloud_become_files_of_others() {
     let again = dir.path().join("again.las");
     assert_eq!(code(&export(first_run(), "las", &again)), 0);
     assert_eq!(std::fs::read(&again).unwrap(), las);
+}
+
+#[test]
+fn the_map_has_its_colours_where_the_source_has_any() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("room.ot");
+    // built-in worlds are grey
+    let output = export(first_run(), "ot", &out);
+    assert_fails(
+        &output,
+        2,
+        &["cells.ply", "the source is grey", "global.ot"],
+    );
+    // the same run with colours in its cells
+    let run = dir.path().join("run");
+    std::fs::create_dir(&run).unwrap();
+    std::fs::copy(first_run().join("global.ot"), run.join("global.ot")).unwrap();
+    let grey = std::fs::read(first_run().join("cells.ply")).unwrap();
+    let end = b"end_header\n";
+    let at = grey.windows(end.len()).position(|w| w == end).unwrap();
+    let header = String::from_utf8_lossy(&grey[..at]).into_owned();
+    let mut cells = header.into_bytes();
+    cells.extend(b"property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n");
+    for cell in grey[at + end.len()..].chunks(16) {
+        cells.extend(cell.iter().chain(&[250, 120, 7]));
+    }
+    std::fs::write(run.join("cells.ply"), cells).unwrap();
+    let output = export(&run, "ot", &out);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let count = elements(&run.join("cells.ply"), "element vertex");
+    assert_eq!(json(&output)["cells in colour"], count);
+    let tree = std::fs::read(&out).unwrap();
+    let has = |bytes: &[u8]| tree.windows(bytes.len()).any(|w| w == bytes);
+    assert!(has(b"id ColorOcTree") && has(&[250, 120, 7]));
+    let [same, map] = [&out, &run.join("global.ot")].map(|path| {
+        let output = monogrid(["info", path.to_str().unwrap(), "--json"]);
+        json(&output)["cells_occupied"].clone()
+    });
+    assert_eq!(same, map);
 }
 
 #[test]

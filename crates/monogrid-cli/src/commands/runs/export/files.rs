@@ -1,9 +1,10 @@
-//! The surface and the cloud of a run as single files.
+//! The surface, the cloud and the map of a run as single files.
 
 use crate::commands::runs::unreadable;
+use monogrid_app::mapfile;
 use monogrid_app::output::OutputFile;
 use monogrid_app::process::failure::{Classify, Failure};
-use monogrid_occupancy::SurfaceMesh;
+use monogrid_occupancy::{SurfaceMesh, VoxelKey, write_colour_ot};
 use monogrid_report::surface::{ColouredMesh, MeshFormat};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -16,6 +17,10 @@ use std::path::Path;
 pub const MESH: &str = "mesh.ply";
 /// Its semi-dense cloud.
 pub const CLOUD: &str = "cloud.ply";
+/// Its occupied cells with their colours.
+pub const CELLS: &str = "cells.ply";
+/// Its map.
+pub const MAP: &str = "global.ot";
 /// Steps of coordinates in LAS, map units.
 const LAS_STEP: f64 = 1e-4;
 
@@ -45,6 +50,17 @@ struct CloudPoint {
     red: u8,
     green: u8,
     blue: u8,
+}
+
+#[derive(Deserialize)]
+struct Cell {
+    x: f32,
+    y: f32,
+    z: f32,
+    // these are missing where the source is grey
+    red: Option<u8>,
+    green: Option<u8>,
+    blue: Option<u8>,
 }
 
 /// The rows of one element of a PLY file of the run, which follows those that were read before.
@@ -93,6 +109,28 @@ pub fn write_mesh(run: &Path, output: &OutputFile, format: MeshFormat) -> Result
         },
     };
     output.write_with(|out| Ok(format.write(&mesh, "the unit of the run", out)?))?;
+    Ok(count)
+}
+
+/// Writes the map as OctoMap's `ColorOcTree`; how many of its cells have a colour.
+pub fn write_ot(run: &Path, output: &OutputFile) -> Result<usize, Failure> {
+    let path = run.join(CELLS);
+    let cells: Vec<Cell> = rows(&mut open(&path)?, &path)?;
+    let (map, _) = mapfile::load(&run.join(MAP))?;
+    let inv_resolution = 1.0 / map.resolution();
+    let coloured = cells.iter().filter_map(|cell| {
+        let key = VoxelKey::from_point([cell.x, cell.y, cell.z].map(f64::from), inv_resolution)?;
+        Some((key, [cell.red?, cell.green?, cell.blue?]))
+    });
+    let coloured: Vec<(VoxelKey, [u8; 3])> = coloured.collect();
+    if coloured.is_empty() {
+        return Err(Failure::input(format!(
+            "{} holds no colours: the source is grey, or no cell is occupied; {MAP} is the map",
+            path.display()
+        )));
+    }
+    let count = coloured.len();
+    output.write_with(|mut out| Ok(write_colour_ot(&map, coloured, &mut out)?))?;
     Ok(count)
 }
 

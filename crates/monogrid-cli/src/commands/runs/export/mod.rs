@@ -31,7 +31,7 @@ pub struct ExportArgs {
     /// What it becomes
     #[arg(long, value_enum, value_name = "FORMAT")]
     pub to: Target,
-    /// Folder (colmap, nerf) or file (obj, stl, las) to write
+    /// Folder (colmap, nerf) or file (all others) to write
     #[arg(long, value_name = "PATH")]
     pub out: PathBuf,
     #[command(flatten)]
@@ -49,8 +49,14 @@ pub enum Target {
     Obj,
     /// File: the surface as bare triangles
     Stl,
+    /// File: the surface as faces, for programs that draw plans
+    Dxf,
+    /// File: the surface with colours, for telephones and programs of animation
+    Usdz,
     /// File: the semi-dense cloud with colours, for programs that survey
     Las,
+    /// File: the map with colours (OctoMap's ColorOcTree)
+    Ot,
 }
 
 /// Writes a run in another format.
@@ -61,12 +67,23 @@ pub fn execute(args: &ExportArgs) -> CommandResult {
         Target::Nerf => export_images(args, nerf::write),
         Target::Obj => export_file(args, "triangles", mesh(MeshFormat::Obj)),
         Target::Stl => export_file(args, "triangles", mesh(MeshFormat::Stl)),
+        Target::Dxf => export_file(args, "triangles", mesh(MeshFormat::Dxf)),
+        Target::Usdz => export_file(args, "triangles", mesh(MeshFormat::Usdz)),
+        Target::Ot => export_file(args, "cells in colour", files::write_ot),
         Target::Las => export_file(args, "points", files::write_las),
     }
 }
 
 fn inputs_of(run: &Path) -> Inputs {
-    let own = [files::MESH, files::CLOUD, MAP_FROM_WORLD, SUMMARY].map(|name| run.join(name));
+    let own = [
+        files::MESH,
+        files::CLOUD,
+        files::CELLS,
+        files::MAP,
+        MAP_FROM_WORLD,
+        SUMMARY,
+    ];
+    let own = own.map(|name| run.join(name));
     Inputs::of("the run", run)
         .and_all("the run", own)
         .and_all("the run", files_of(run))
@@ -90,15 +107,19 @@ fn export_images(
         "points": scene.points.len(),
         "observations": scene.num_observations(),
         "mean_reprojection_error_px": scene.mean_error(),
+        "left_out": scene.left_out,
+        "limit_px": scene.limit,
     });
     args.write.json.print(&report, || {
         let (out, images) = (args.out.display(), scene.views.len());
         match scene.mean_error() {
             Some(error) => println!(
                 "{out}: {images} images, {} points seen {} times, mean reprojection error \
-                 {error:.2} px",
+                 {error:.2} px ({} times something else was seen, more than {:.1} px away)",
                 scene.points.len(),
-                scene.num_observations()
+                scene.num_observations(),
+                scene.left_out,
+                scene.limit
             ),
             None => println!(
                 "{out}: {images} images; the recording holds no points that several of them see"

@@ -4,6 +4,7 @@ use monogrid_app::process::failure::Failure;
 use monogrid_app::run::align::Align;
 use monogrid_app::run::sessions::frame_beside;
 use monogrid_datasets::{RecordedCamera, RecordedKeyframe, RecordedPoint, Recording};
+use monogrid_geometry::median::median;
 use monogrid_geometry::{Se3, Sim3, Vec2, Vec3};
 use monogrid_mapping::ImageOf;
 use monogrid_report::colours::Colours;
@@ -11,13 +12,23 @@ use monogrid_report::explorer::Look;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+/// Distances from where a point projects to that are no chance, in medians of all: with errors that
+/// are normal, one in a hundred thousand is larger.
+const FAR: f64 = 4.0;
+/// Never far, px.
+const NEAR_PX: f64 = 1.0;
+
 /// Images with poses and points, in the frame of maps.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Reconstruction {
     /// Pinhole cameras without distortion; the centre of the top-left pixel is (0, 0).
     pub cameras: Vec<RecordedCamera>,
     pub views: Vec<View>,
     pub points: Vec<Point>,
+    /// How often an image shows something else where a point should be.
+    pub left_out: usize,
+    /// How far that is from where it projects to, px.
+    pub limit: f64,
 }
 
 /// An image with its pose.
@@ -32,6 +43,25 @@ pub struct View {
     pub camera_from_map: Se3,
     /// Where it shows points, px, and their indices.
     pub features: Vec<(Vec2, usize)>,
+}
+
+/// A point that images may show.
+#[derive(Debug)]
+pub struct Candidate {
+    /// Place in the frame of maps.
+    pub place: Vec3,
+    pub colour: [u8; 3],
+    pub seen: Vec<Seen>,
+}
+
+/// Where an image shows a point.
+#[derive(Debug)]
+pub struct Seen {
+    /// Index of the view.
+    pub view: usize,
+    pub at: Vec2,
+    /// Distance from where it projects to, px.
+    pub error: f64,
 }
 
 /// A point that at least two images show.
@@ -53,11 +83,7 @@ impl Reconstruction {
             Some(Align::Map { map_from_world, .. }) => map_from_world,
             _ => Sim3::identity(),
         };
-        let mut scene = Self {
-            cameras: Vec::new(),
-            views: Vec::new(),
-            points: Vec::new(),
-        };
+        let mut scene = Self::default();
         let mut view_of = BTreeMap::new();
         for (index, keyframe) in recording.keyframes.iter().enumerate() {
             if let Some(world_from_keyframe) = keyframe.world_from_keyframe
@@ -80,6 +106,7 @@ impl Reconstruction {
         // so that each image is decoded once
         points.sort_by_key(|point| point.host);
         let colours = Colours::of(&recording.keyframes);
+        let mut candidates = Vec::new();
         for of_host in points.chunk_by(|a, b| a.host == b.host) {
             let Some(host) = view_of.get(&of_host[0].host) else {
                 continue;
@@ -89,11 +116,15 @@ impl Reconstruction {
             let look = Look::of(keyframe.id, image, &colours);
             for point in of_host {
                 if let Some(place) = place_of(point, keyframe, &map_from_world) {
-                    let colour = colour_at(&look, point.pixel, &keyframe.camera);
-                    scene.add_point(point, &view_of, place, colour);
+                    candidates.push(Candidate {
+                        place,
+                        colour: colour_at(&look, point.pixel, &keyframe.camera),
+                        seen: scene.seen(point, &view_of, place),
+                    });
                 }
             }
         }
+        scene.add_points(candidates);
         Ok(scene)
     }
 
@@ -116,38 +147,51 @@ impl Reconstruction {
         });
     }
 
-    /// Adds a point with the images in which it lies before the camera, if these are two or more.
-    fn add_point(
-        &mut self,
-        point: &RecordedPoint,
-        view_of: &BTreeMap<u32, usize>,
-        place: Vec3,
-        colour: [u8; 3],
-    ) {
+    /// Where images in which it lies before the camera show a point.
+    fn seen(&self, point: &RecordedPoint, views: &BTreeMap<u32, usize>, place: Vec3) -> Vec<Seen> {
         let own = [(point.host, point.pixel)];
-        let seen: Vec<(usize, Vec2, f64)> = own
-            .iter()
-            .chain(&point.observations)
-            .filter_map(|(keyframe, [x, y])| {
-                let view = *view_of.get(keyframe)?;
-                let at = Vec2::new(*x, *y);
-                Some((view, at, self.error_at(view, &place, &at)?))
-            })
-            .collect();
+        let observations = own.iter().chain(&point.observations);
+        let seen = observations.filter_map(|(keyframe, [x, y])| {
+            let view = *views.get(keyframe)?;
+            let at = Vec2::new(*x, *y);
+            let error = self.error_at(view, &place, &at)?;
+            Some(Seen { view, at, error })
+        });
+        seen.collect()
+    }
+
+    /// Adds points that two or more images show. Where one is shown far from where it projects to,
+    /// the image shows something else: robust adjustment took no notice of it, and readers that
+    /// adjust once more would.
+    pub fn add_points(&mut self, candidates: Vec<Candidate>) {
+        let errors = candidates.iter().flat_map(|candidate| &candidate.seen);
+        let mut errors: Vec<f64> = errors.map(|seen| seen.error).collect();
+        let limit = median(&mut errors).map_or(NEAR_PX, |median| NEAR_PX.max(FAR * median));
+        for mut candidate in candidates {
+            let before = candidate.seen.len();
+            candidate.seen.retain(|seen| seen.error <= limit);
+            self.left_out += before - candidate.seen.len();
+            self.add_point(candidate);
+        }
+        self.limit = limit;
+    }
+
+    fn add_point(&mut self, candidate: Candidate) {
+        let seen = candidate.seen;
         if seen.len() < 2 {
             return;
         }
         let index = self.points.len();
-        let errors: f64 = seen.iter().map(|(_, _, error)| error).sum();
-        let track = seen.iter().map(|(view, at, _)| {
-            let features = &mut self.views[*view].features;
-            features.push((*at, index));
-            (*view, features.len() - 1)
+        let errors: f64 = seen.iter().map(|seen| seen.error).sum();
+        let track = seen.iter().map(|seen| {
+            let features = &mut self.views[seen.view].features;
+            features.push((seen.at, index));
+            (seen.view, features.len() - 1)
         });
         let track = track.collect();
         self.points.push(Point {
-            place,
-            colour,
+            place: candidate.place,
+            colour: candidate.colour,
             error: errors / seen.len() as f64,
             track,
         });

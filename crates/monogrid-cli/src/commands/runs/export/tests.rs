@@ -1,4 +1,4 @@
-use super::reconstruction::{Point, Reconstruction, View};
+use super::reconstruction::{Candidate, Point, Reconstruction, Seen, View};
 use super::{colmap, nerf};
 use monogrid_app::output::{Inputs, OutputFolder};
 use monogrid_datasets::RecordedCamera;
@@ -34,24 +34,69 @@ fn scene() -> Reconstruction {
         Vec3::new(-0.4, 0.3, 3.0),
         Vec3::new(0.1, -0.2, 2.5),
     ];
-    let points = places.iter().enumerate().map(|(index, place)| {
-        let track = views.iter_mut().enumerate().map(|(k, view)| {
-            let at = CAMERA.pinhole.project(&(view.camera_from_map * *place));
-            view.features.push((at, index));
-            (k, view.features.len() - 1)
-        });
-        Point {
-            track: track.collect(),
-            place: *place,
-            colour: [index as u8, 100, 200],
-            error: 0.0,
-        }
-    });
+    let points: Vec<Point> = places
+        .iter()
+        .enumerate()
+        .map(|(index, place)| {
+            let track = views.iter_mut().enumerate().map(|(k, view)| {
+                let at = CAMERA.pinhole.project(&(view.camera_from_map * *place));
+                view.features.push((at, index));
+                (k, view.features.len() - 1)
+            });
+            Point {
+                track: track.collect(),
+                place: *place,
+                colour: [index as u8, 100, 200],
+                error: 0.0,
+            }
+        })
+        .collect();
     Reconstruction {
         cameras: vec![CAMERA],
-        points: points.collect(),
+        points,
         views: views.into(),
+        ..Reconstruction::default()
     }
+}
+
+#[test]
+fn what_is_seen_far_from_where_a_point_should_be_is_left_out() {
+    let mut scene = Reconstruction {
+        cameras: vec![CAMERA],
+        views: scene().views,
+        ..Reconstruction::default()
+    };
+    scene
+        .views
+        .iter_mut()
+        .for_each(|view| view.features.clear());
+    let candidate = |errors: &[f64]| Candidate {
+        place: Vec3::new(0.0, 0.0, 2.0),
+        colour: [1, 2, 3],
+        seen: errors
+            .iter()
+            .enumerate()
+            .map(|(view, error)| Seen {
+                view,
+                at: Vec2::new(10.0, 20.0),
+                error: *error,
+            })
+            .collect(),
+    };
+    // the median is 0.5: beyond 2 px is far, and one view alone shows no point
+    let errors = [[0.2, 0.3], [0.5, 1.9], [0.5, 2.1], [0.4, 0.6]];
+    scene.add_points(errors.iter().map(|errors| candidate(errors)).collect());
+    assert_eq!(
+        (scene.points.len(), scene.left_out, scene.limit),
+        (3, 1, 2.0)
+    );
+    assert_eq!(scene.num_observations(), 6);
+    assert!((scene.points[1].error - 1.2).abs() < 1e-12);
+    assert_eq!(scene.views[1].features.len(), 3);
+    // less than a pixel is never far
+    scene.points.clear();
+    scene.add_points(vec![candidate(&[0.0, 0.0]), candidate(&[0.0, 0.9])]);
+    assert_eq!((scene.points.len(), scene.left_out), (2, 1));
 }
 
 fn written(write: impl FnOnce(&OutputFolder)) -> tempfile::TempDir {
