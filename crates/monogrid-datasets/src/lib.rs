@@ -28,6 +28,7 @@ mod files;
 mod fixed;
 mod images;
 mod imu;
+mod places;
 mod printable;
 mod recording;
 mod scans;
@@ -50,6 +51,7 @@ pub use images::{
     read_mask, read_rgb, read_rgb_in,
 };
 pub use imu::{ImuCalibration, ImuFile, write_imu};
+pub use places::{GlobalPlace, TimedPlace, places_of_photographs, read_places_of_subtitles};
 pub use printable::{is_obeyed, printable};
 pub use recording::{
     ColourRecord, Continuation, Damage, DepthPixel, DepthRevision, EndRecord, FragmentKeyframe,

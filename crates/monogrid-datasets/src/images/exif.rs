@@ -1,7 +1,8 @@
-//! What a camera wrote into its images about its lens.
+//! What a camera wrote into its images about its lens, and where it was.
 
 use super::decode::read_image_file;
-use exif::{In, Reader, Tag, Value};
+use crate::places::GlobalPlace;
+use exif::{Exif, In, Reader, Tag, Value};
 use std::io::Cursor;
 use std::path::Path;
 
@@ -29,10 +30,51 @@ pub fn exif_focal_px(path: &Path, (width, height): (usize, usize)) -> Option<f64
         .then(|| equivalent_mm / FILM_DIAGONAL_MM * (width as f64).hypot(height as f64))
 }
 
+/// Where a photograph was taken, as its Exif block says.
+pub(crate) fn exif_place(path: &Path) -> Option<GlobalPlace> {
+    let bytes = read_image_file(path).ok()?;
+    let exif = Reader::new().read_from_container(&mut Cursor::new(&bytes));
+    let exif = exif.ok()?;
+    let rationals = |tag: Tag| -> Option<Vec<f64>> {
+        match &exif.get_field(tag, In::PRIMARY)?.value {
+            Value::Rational(values) => Some(values.iter().map(exif::Rational::to_f64).collect()),
+            _ => None,
+        }
+    };
+    let degrees = |tag: Tag, reference: Tag, negative: u8| -> Option<f64> {
+        let [degrees, minutes, seconds] = rationals(tag)?[..] else {
+            return None;
+        };
+        let value = degrees + minutes / 60.0 + seconds / 3600.0;
+        // what has no number is 0 / 0 there
+        let value = value.is_finite().then_some(value)?;
+        let is_negative = letter(&exif, reference)?.eq_ignore_ascii_case(&negative);
+        Some(if is_negative { -value } else { value })
+    };
+    let latitude = degrees(Tag::GPSLatitude, Tag::GPSLatitudeRef, b'S')?;
+    let longitude = degrees(Tag::GPSLongitude, Tag::GPSLongitudeRef, b'W')?;
+    let altitude = rationals(Tag::GPSAltitude).and_then(|values| values.first().copied());
+    let is_below_the_sea = matches!(
+        exif.get_field(Tag::GPSAltitudeRef, In::PRIMARY).map(|field| &field.value),
+        Some(Value::Byte(values)) if values.first() == Some(&1)
+    );
+    let altitude = altitude.map(|metres| if is_below_the_sea { -metres } else { metres });
+    GlobalPlace::new([latitude, longitude], altitude)
+}
+
+/// The first letter of a text.
+fn letter(exif: &Exif, tag: Tag) -> Option<u8> {
+    match &exif.get_field(tag, In::PRIMARY)?.value {
+        Value::Ascii(texts) => texts.first()?.first().copied(),
+        _ => None,
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::exif_focal_px;
+    use super::{exif_focal_px, exif_place};
     use crate::encode_jpeg;
+    use crate::places::GlobalPlace;
     use exif::experimental::Writer;
     use exif::{Field, In, Tag, Value};
     use monogrid_image::Image;
@@ -40,13 +82,22 @@ mod tests {
 
     /// A JPEG image whose Exif block says this equivalent focal length.
     fn jpeg(equivalent_mm: u16) -> Vec<u8> {
-        let field = Field {
-            tag: Tag::FocalLengthIn35mmFilm,
+        jpeg_with(&[(
+            Tag::FocalLengthIn35mmFilm,
+            Value::Short(vec![equivalent_mm]),
+        )])
+    }
+
+    /// A JPEG image with these fields in its Exif block.
+    fn jpeg_with(fields: &[(Tag, Value)]) -> Vec<u8> {
+        let field = |(tag, value): &(Tag, Value)| Field {
+            tag: *tag,
             ifd_num: In::PRIMARY,
-            value: Value::Short(vec![equivalent_mm]),
+            value: value.clone(),
         };
+        let fields: Vec<Field> = fields.iter().map(field).collect();
         let mut writer = Writer::new();
-        writer.push_field(&field);
+        fields.iter().for_each(|field| writer.push_field(field));
         let mut block = Cursor::new(b"Exif\0\0".to_vec());
         block.set_position(6);
         let mut tiff = Cursor::new(Vec::new());
@@ -57,6 +108,44 @@ mod tests {
         let length = (block.len() as u16 + 2).to_be_bytes();
         // after the start of the image
         [&plain[..2], b"\xff\xe1", &length, &block, &plain[2..]].concat()
+    }
+
+    #[test]
+    fn a_place_has_its_hemispheres_and_its_height() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.jpg");
+        let thirds = |values: [u32; 3]| {
+            let rational = |num| exif::Rational { num, denom: 4 };
+            Value::Rational(values.map(rational).to_vec())
+        };
+        let text = |letter: u8| Value::Ascii(vec![vec![letter]]);
+        let write = |latitude: Value, south: u8| {
+            let bytes = jpeg_with(&[
+                (Tag::GPSLatitude, latitude),
+                (Tag::GPSLatitudeRef, text(south)),
+                (Tag::GPSLongitude, thirds([4 * 8, 4 * 15, 4 * 18])),
+                (Tag::GPSLongitudeRef, text(b'E')),
+                (
+                    Tag::GPSAltitude,
+                    Value::Rational(vec![exif::Rational { num: 5, denom: 2 }]),
+                ),
+                (Tag::GPSAltitudeRef, Value::Byte(vec![1])),
+            ]);
+            std::fs::write(&path, bytes).unwrap();
+        };
+        write(thirds([4 * 33, 4 * 30, 0]), b'S');
+        let place = GlobalPlace {
+            latitude: -33.5,
+            longitude: 8.255,
+            altitude: Some(-2.5),
+        };
+        assert_eq!(exif_place(&path), Some(place));
+        // a receiver without a place
+        let unknown = vec![exif::Rational { num: 0, denom: 0 }; 3];
+        write(Value::Rational(unknown), b'N');
+        assert_eq!(exif_place(&path), None);
+        std::fs::write(&path, jpeg(28)).unwrap();
+        assert_eq!(exif_place(&path), None);
     }
 
     #[test]

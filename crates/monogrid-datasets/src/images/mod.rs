@@ -22,5 +22,6 @@ pub use decode::{
 pub use depth::{DepthCalibration, TUM_UNITS_PER_METRE, decode_depth, read_depth};
 pub use encode::{encode_jpeg, encode_jpeg_rgb, encode_png, encode_png_16, encode_png_rgb};
 pub use exif::exif_focal_px;
+pub(crate) use exif::exif_place;
 pub use levels::Levels;
 pub use register::DepthRegistration;

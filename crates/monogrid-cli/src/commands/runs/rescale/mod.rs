@@ -1,11 +1,13 @@
 //! `monogrid rescale`: a run in metres, when its scale becomes known afterwards.
 
+mod gps;
 mod scale;
 mod tables;
 
 use crate::commands::runs::unreadable;
 use crate::commands::use_threads;
 use clap::Args;
+use gps::Georeference;
 use monogrid_app::args::{WriteArgs, positive};
 use monogrid_app::output::{Content, Inputs, OutputFolder};
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
@@ -29,8 +31,9 @@ pub struct RescaleArgs {
     /// Folder of a run of unknown scale
     pub run: PathBuf,
     /// Where the scale comes from: camera-height=1.5m (over the floor, median), distance:A,B=1.2m
-    /// (points X:Y:Z of the results or pixels kID:X:Y of keyframes), trajectory:FILE in metres, or
-    /// factor=F metres per map unit
+    /// (points X:Y:Z of the results or pixels kID:X:Y of keyframes), trajectory:FILE in metres,
+    /// gps:PATH (subtitles of a drone, .srt, or the folder of photographs with places in their
+    /// Exif blocks), or factor=F metres per map unit
     #[arg(long, value_name = "SOURCE", value_parser = ScaleFrom::parse)]
     pub scale_from: ScaleFrom,
     /// Output folder
@@ -71,8 +74,11 @@ pub fn execute(args: &RescaleArgs) -> CommandResult {
     let mut inputs = Inputs::of("the run", &args.run)
         .and_all("the run", names.map(|name| args.run.join(name)))
         .and_all("the run", files_of(&args.run));
-    if let ScaleFrom::Trajectory(path) = &args.scale_from {
-        inputs = inputs.and("the trajectory", path);
+    match &args.scale_from {
+        ScaleFrom::Trajectory(path) => inputs = inputs.and("the trajectory", path),
+        ScaleFrom::Gps(path) if path.is_dir() => inputs = inputs.and_dataset(path)?,
+        ScaleFrom::Gps(path) => inputs = inputs.and("the subtitles", path),
+        _ => {}
     }
     let recording = Source::find(&args.run)?.read()?;
     let summary = summary(&args.run)?;
@@ -83,12 +89,12 @@ pub fn execute(args: &RescaleArgs) -> CommandResult {
         )));
     }
     let map_from_world = read_sim3(&args.run.join(MAP_FROM_WORLD)).bad_input()?;
-    let factor = args.scale_from.factor(&Results {
+    let (factor, georeference) = args.scale_from.factor(&Results {
         recording: &recording,
         map_from_world,
         camera_height: summary["floor"]["camera_height"].as_f64(),
         is_over_surface: !summary["level_surface"].is_null(),
-        trajectory: args.run.join("trajectory.txt"),
+        run: args.run.clone(),
     })?;
     let folder = OutputFolder::replace(&args.out, args.write.force, &inputs)?;
     write_tables(&args.run, &folder, factor)?;
@@ -99,13 +105,21 @@ pub fn execute(args: &RescaleArgs) -> CommandResult {
     folder.write(MAP_FROM_WORLD, format_sim3(&moved))?;
     write_recording(&folder, recording, factor)?;
     let poses = read_trajectory(&folder.path().join("trajectory.txt")).bad_input()?;
-    let summary = rescaled_summary(summary, factor);
+    let mut summary = rescaled_summary(summary, factor);
+    summary["georeference"] = json!(georeference.as_ref().map(Georeference::summary));
     let path = path_of(&poses);
     let summary = write_maps(&folder, summary, &path, args.resolution, threads)?;
-    let report = json!({ "metres_per_map_unit": factor, "map": summary["map"] });
+    let report = json!({
+        "metres_per_map_unit": factor,
+        "map": summary["map"],
+        "georeference": summary["georeference"],
+    });
     args.write.json.print(&report, || {
         let (out, edge) = (args.out.display(), &summary["map"]["resolution"]);
         println!("{out}: one map unit is {factor:.6} m; cells of {edge} m");
+        if let Some(georeference) = &georeference {
+            println!("{}", georeference.finding());
+        }
     })
 }
 

@@ -1,5 +1,6 @@
 //! Where the scale of a run comes from afterwards.
 
+use super::gps::Georeference;
 use monogrid_app::process::failure::{Classify, Failure};
 use monogrid_app::run::align::stamped_all;
 use monogrid_datasets::{Recording, read_trajectory};
@@ -21,6 +22,8 @@ pub enum ScaleFrom {
     CameraHeight(f64),
     /// A trajectory in metres.
     Trajectory(PathBuf),
+    /// Subtitles of a drone, or a folder of photographs, that say where on the globe they are.
+    Gps(PathBuf),
 }
 
 /// A place in a run.
@@ -43,16 +46,18 @@ pub struct Results<'a> {
     pub camera_height: Option<f64>,
     /// Whether a level surface was found that is no floor.
     pub is_over_surface: bool,
-    /// The trajectory of the results.
-    pub trajectory: PathBuf,
+    /// Folder of the run.
+    pub run: PathBuf,
 }
 
 impl ScaleFrom {
-    /// Reads `factor=F`, `distance:A,B=L`, `camera-height=L` or `trajectory:FILE`; lengths are
-    /// metres, with or without `m`.
+    /// Reads `factor=F`, `distance:A,B=L`, `camera-height=L`, `trajectory:FILE` or `gps:PATH`;
+    /// lengths are metres, with or without `m`.
     pub fn parse(text: &str) -> Result<Self, String> {
         let parsed = if let Some(file) = text.strip_prefix("trajectory:") {
             Some(Self::Trajectory(file.into()))
+        } else if let Some(path) = text.strip_prefix("gps:") {
+            Some(Self::Gps(path.into()))
         } else if let Some(rest) = text.strip_prefix("distance:") {
             rest.split_once('=').and_then(|(places, metres)| {
                 let (a, b) = places.split_once(',')?;
@@ -66,14 +71,15 @@ impl ScaleFrom {
             }
         };
         parsed.ok_or_else(|| {
-            "expected factor=F, camera-height=1.5m, trajectory:FILE, or distance:A,B=1.2m, A and B \
-             points X:Y:Z of the results or pixels kID:X:Y of keyframes"
+            "expected factor=F, camera-height=1.5m, trajectory:FILE, gps:PATH, or \
+             distance:A,B=1.2m, A and B points X:Y:Z of the results or pixels kID:X:Y of keyframes"
                 .to_owned()
         })
     }
 
-    /// Metres per map unit.
-    pub fn factor(&self, results: &Results) -> Result<f64, Failure> {
+    /// Metres per map unit, and where the map lies on the globe where that is known.
+    pub fn factor(&self, results: &Results) -> Result<(f64, Option<Georeference>), Failure> {
+        let mut georeference = None;
         let factor = match self {
             Self::Factor(factor) => *factor,
             Self::Distance(places, metres) => {
@@ -94,15 +100,20 @@ impl ScaleFrom {
             }
             Self::Trajectory(path) => {
                 let read = |path: &Path| read_trajectory(path).bad_input();
-                let (estimate, truth) = (read(&results.trajectory)?, read(path)?);
+                let estimate = results.run.join("trajectory.txt");
+                let (estimate, truth) = (read(&estimate)?, read(path)?);
                 let config = TrajectoryConfig::default();
                 let fit =
                     evaluate_trajectory(&stamped_all(&estimate), &stamped_all(&truth), &config);
                 fit.map_err(Failure::input)?.gt_from_est.scale
             }
+            Self::Gps(path) => {
+                let found = Georeference::find(&results.run, path)?;
+                georeference.insert(found).factor()
+            }
         };
         if factor.is_normal() && (1e-6..=1e6).contains(&factor) {
-            return Ok(factor);
+            return Ok((factor, georeference));
         }
         Err(Failure::input(format!(
             "--scale-from gives {factor} metres per map unit, expected 0.000001 to 1000000"
@@ -177,6 +188,10 @@ mod tests {
         assert_eq!(
             ScaleFrom::parse("camera-height=1.5m"),
             Ok(ScaleFrom::CameraHeight(1.5))
+        );
+        assert_eq!(
+            ScaleFrom::parse("gps:DJI_0001.SRT"),
+            Ok(ScaleFrom::Gps("DJI_0001.SRT".into()))
         );
         let two = [
             Place::Pixel(3, Vec2::new(10.0, 20.5)),
