@@ -14,7 +14,8 @@ pub enum InfoError {
     /// A distortion that cannot be undone here.
     #[error(
         "distortion model {model:?} with {count} parameters is not supported; there are plumb_bob \
-         (4 or 5), rational_polynomial (8), equidistant (4), and topics of rectified images"
+         (4 or 5), rational_polynomial (8, no thin prism), equidistant (4), and topics of \
+         rectified images"
     )]
     Distortion {
         /// What it is called.
@@ -173,6 +174,7 @@ mod tests {
             model: "rational_polynomial".into(),
             count: 9,
         };
+        assert!(refused.to_string().contains("no thin prism"));
         assert_eq!(camera_of(&rational, false), Err(refused));
         let camera = camera_of(&rational, true).unwrap();
         assert_eq!(camera.pinhole, Pinhole::new(400.0, 410.0, 321.0, 241.0));

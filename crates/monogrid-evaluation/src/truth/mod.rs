@@ -101,7 +101,8 @@ pub enum TruthError {
     /// None of so many camera positions lies in free space.
     #[error(
         "none of the {0} camera positions lies in free space inside the surface; are the \
-         trajectory and the surface in the same frame and unit?"
+         trajectory and the surface in the same frame and unit? Do balls around its points \
+         (splat radius) or closed holes (hole cells) fill the space around the camera?"
     )]
     NoFreeCamera(usize),
     /// A depth image whose size does not match its camera.

@@ -174,15 +174,17 @@ fn from_mesh(args: &TruthArgs) -> Result<Made, Failure> {
     let mesh = model.mesh;
     let cameras = positions(trajectory)?;
     let config = truth_config(args);
-    let (truth, what) = if mesh.triangles.is_empty() {
+    let truth = if mesh.triangles.is_empty() {
         let points: Vec<[f64; 3]> = mesh.vertices.iter().map(|v| v.map(f64::from)).collect();
-        let truth = truth_from_points(&points, &cameras, &config).bad_input()?;
-        (truth, format!("{} points", points.len()))
+        let truth = truth_from_points(&points, &cameras, &config).bad_input();
+        truth.map(|truth| (truth, format!("{} points", points.len())))
     } else {
         let triangles = triangles_of(&mesh, &args.source)?;
-        let truth = truth_from_triangles(&triangles, &cameras, &config).bad_input()?;
-        (truth, format!("{} triangles", triangles.len()))
+        let truth = truth_from_triangles(&triangles, &cameras, &config).bad_input();
+        truth.map(|truth| (truth, format!("{} triangles", triangles.len())))
     };
+    // what is wrong with the surface may be why there is no truth of it
+    let (truth, what) = truth.inspect_err(|_| warn(left_out.as_slice()))?;
     let (grid, mut made) = of_surface(truth, what, cameras.len());
     made.warnings.extend(left_out);
     Ok((grid, made))
