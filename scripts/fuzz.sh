@@ -19,6 +19,7 @@ seeds() {
   [ ! -d "fuzz/seeds/$1" ] || cp "fuzz/seeds/$1"/* "$2"
   case $1 in
     video) cp crates/monogrid-video/tests/data/*.mp4 crates/monogrid-video/tests/data/*.avi "$2" ;;
+    bag) cp crates/monogrid-bags/tests/data/*.bag crates/monogrid-bags/tests/data/*.db3 crates/monogrid-bags/tests/data/*.mcap "$2" ;;
     map_ot | map_bt) cp crates/monogrid-occupancy/tests/golden/*."${1#map_}" "$2" ;;
   esac
 }
