@@ -89,7 +89,8 @@ def check_dxf(file, mesh):
 
 
 def check_usdz(file, mesh):
-    surface = UsdGeom.Mesh(Usd.Stage.Open(str(file)).GetPrimAtPath("/map/surface"))
+    stage = Usd.Stage.Open(str(file))
+    surface = UsdGeom.Mesh(stage.GetPrimAtPath("/map/surface"))
     assert numpy.allclose(surface.GetPointsAttr().Get(), mesh.vertices, atol=1e-4)
     indices = numpy.array(surface.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
     assert (indices == mesh.faces).all()
