@@ -35,7 +35,8 @@ fn scene(mesh: &ColouredMesh, unit: &str) -> String {
     let mut text = format!(
         "#usda 1.0\n(\n    defaultPrim = \"map\"\n    doc = \"monogrid, lengths in {unit}\"\n    \
          metersPerUnit = 1\n    upAxis = \"Y\"\n)\n\ndef Xform \"map\"\n{{\n    \
-         float xformOp:rotateX = -90\n    uniform token[] xformOpOrder = [\"xformOp:rotateX\"]\n\n    \
+         float xformOp:rotateX = -90\n    uniform token[] xformOpOrder = \
+         [\"xformOp:rotateX\"]\n\n    \
          def Mesh \"surface\"\n    {{\n        uniform bool doubleSided = 1\n        \
          uniform token subdivisionScheme = \"none\"\n"
     );
@@ -49,10 +50,8 @@ fn scene(mesh: &ColouredMesh, unit: &str) -> String {
         (f32::INFINITY, f32::min as fn(f32, f32) -> f32),
         (f32::NEG_INFINITY, f32::max),
     ];
-    let colours = mesh.colours.iter().map(|colour| {
-        let linear = colour.map(|value| format!("{:.4}", linear(value)));
-        linear
-    });
+    let colours = mesh.colours.iter();
+    let colours = colours.map(|colour| colour.map(|value| format!("{:.4}", linear(value))));
     let lines = [
         (
             "float3[] extent",
