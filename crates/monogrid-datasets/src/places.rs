@@ -159,8 +159,8 @@ mod tests {
     #[test]
     fn subtitles_of_three_generations_are_read() {
         let new = "1\n00:00:00,000 --> 00:00:00,033\n<font size=\"28\">FrameCnt: 1, \
-            DiffTime: 33ms\n2023-06-11 11:21:05.345\n[iso: 100] [latitude: 47.25] [longitude: -8.5] [rel_alt: \
-            30.400 abs_alt: 495.123] </font>\n\n\
+            DiffTime: 33ms\n2023-06-11 11:21:05.345\n[iso: 100] [latitude: 47.25] \
+            [longitude: -8.5] [rel_alt: 30.400 abs_alt: 495.123] </font>\n\n\
             2\n00:00:00,033 --> 00:00:00,066\n[latitude: 47.25] [longitude: -8.5] [rel_alt: \
             30.400 abs_alt: 495.1]\n\n\
             3\n01:02:03,500 --> 01:02:04,000\n[latitude: 47.26] [longitude: -8.5] [rel_alt: 31 \
