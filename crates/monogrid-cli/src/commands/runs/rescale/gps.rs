@@ -288,7 +288,7 @@ mod tests {
             "{sigma}"
         );
         assert!(
-            found.is_turned() && found.finding().contains("% "),
+            found.is_turned() && found.finding().ends_with(" %"),
             "{}",
             found.finding()
         );
