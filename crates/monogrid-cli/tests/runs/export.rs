@@ -67,7 +67,9 @@ fn surface_and_cloud_become_files_of_others() {
 
     let dxf = std::fs::read_to_string(dir.path().join("room.dxf")).unwrap();
     assert_eq!(dxf.lines().filter(|line| *line == "3DFACE").count(), faces);
-    assert!(std::fs::read(dir.path().join("room.usdz")).unwrap().len() > 100 * faces);
+    let usdz = std::fs::read(dir.path().join("room.usdz")).unwrap();
+    let has = |text: &[u8]| usdz.windows(text.len()).any(|w| w == text);
+    assert!(usdz.starts_with(b"PK") && has(b"#usda 1.0") && has(b"int[] faceVertexIndices"));
 
     let out = dir.path().join("room.las");
     let output = export(first_run(), "las", &out);

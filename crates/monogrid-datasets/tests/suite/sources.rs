@@ -841,7 +841,7 @@ fn a_tar_file_that_is_cut_within_a_file_is_refused() {
 /// Pixels that a source may show beyond those of any source.
 fn more_pixels(dataset: &Dataset) -> usize {
     let mut budget = dataset.pixel_budget();
-    budget.spend(1 << 26, 1).expect("as any source");
+    budget.spend(1 << 27, 1).expect("as any source");
     let more = (0..).find(|_| budget.spend(1, 1).is_err());
     more.expect("no source may show everything")
 }
@@ -858,13 +858,13 @@ fn what_images_may_show_follows_from_what_is_stored_once() {
     };
     let one = length("1.png");
     let dataset = open(root.path()).expect("a folder");
-    assert_eq!(more_pixels(&dataset), 128 * 3 * one);
+    assert_eq!(more_pixels(&dataset), 256 * 3 * one);
     // one that is listed again and again is one file
     let list = "0.0 1.png\n0.1 2.png\n0.2 1.png\n0.3 1.png\n0.4 1.png\n";
     fs::write(root.path().join("rgb.txt"), list).expect("writable");
     let dataset = open(root.path()).expect("a list");
     assert_eq!(dataset.frames.len(), 5);
-    assert_eq!(more_pixels(&dataset), 128 * 2 * one);
+    assert_eq!(more_pixels(&dataset), 256 * 2 * one);
     // an archive counts as it is, whatever its entries claim
     let path = root.path().join("a.zip");
     let mut zip = zip::ZipWriter::new(fs::File::create(&path).expect("writable"));
@@ -876,7 +876,7 @@ fn what_images_may_show_follows_from_what_is_stored_once() {
     }
     zip.finish().expect("writable");
     let dataset = open(&path).expect("an archive");
-    assert_eq!(more_pixels(&dataset), 128 * length("a.zip"));
+    assert_eq!(more_pixels(&dataset), 256 * length("a.zip"));
 }
 
 #[test]

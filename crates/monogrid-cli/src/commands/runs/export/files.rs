@@ -58,8 +58,11 @@ struct Cell {
     y: f32,
     z: f32,
     // these are missing where the source is grey
+    #[serde(default)]
     red: Option<u8>,
+    #[serde(default)]
     green: Option<u8>,
+    #[serde(default)]
     blue: Option<u8>,
 }
 
