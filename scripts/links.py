@@ -34,7 +34,7 @@ FOLDERS = r"(?:\.ci|\.github|benchmarks|crates|docs|extra|fuzz|scripts)"
 # names with braces or stars are patterns; in `slam::x` x stands for others
 PATH = re.compile(rf"(?<![\w/.-])({FOLDERS}/[\w./-]+\w/?)(?![\w{{*<$])")
 COMMAND = re.compile(r"(?<![\w/.-])monogrid ([a-z][a-z-]+)(?= |$|`)", re.MULTILINE)
-OUTSIDE = re.compile(r"\.\./shared|(?<![\w.])/tmp/|(?<![\w.])/work/")
+OUTSIDE = re.compile(r"\.\./shared|(?<![\w.])/tmp/")
 
 
 def anchors(text):
