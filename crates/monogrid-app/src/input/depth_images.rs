@@ -127,12 +127,9 @@ impl FrameDepths {
         let file = |frame: &FrameEntry| Some((frame.index, dataset.second_image(frame)?));
         let files: Vec<(usize, PathBuf)> = input.frames.iter().filter_map(file).collect();
         // those of the first camera are read beside them
+        let rows = second.camera.height * 2 * files.len();
         let mut budget = dataset.pixel_budget();
-        for _ in 0..2 * files.len() {
-            budget
-                .spend(second.camera.width, second.camera.height)
-                .bad_input()?;
-        }
+        budget.spend(second.camera.width, rows).bad_input()?;
         let reader = Reader::Stereo {
             undistorter: Undistorter::onto(&second.camera, *input.pinhole(), input.size()),
             second_from_first: second.second_from_first,

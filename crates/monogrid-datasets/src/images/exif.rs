@@ -16,9 +16,7 @@ const FILM_DIAGONAL_MM: f64 = 43.267;
 /// less.
 #[must_use]
 pub fn exif_focal_px(path: &Path, (width, height): (usize, usize)) -> Option<f64> {
-    let bytes = read_image_file(path).ok()?;
-    let exif = Reader::new().read_from_container(&mut Cursor::new(&bytes));
-    let exif = exif.ok()?;
+    let exif = exif_of(path)?;
     let field = exif.get_field(Tag::FocalLengthIn35mmFilm, In::PRIMARY)?;
     let equivalent_mm = match &field.value {
         Value::Short(values) => f64::from(*values.first()?),
@@ -32,9 +30,7 @@ pub fn exif_focal_px(path: &Path, (width, height): (usize, usize)) -> Option<f64
 
 /// Where a photograph was taken, as its Exif block says.
 pub(crate) fn exif_place(path: &Path) -> Option<GlobalPlace> {
-    let bytes = read_image_file(path).ok()?;
-    let exif = Reader::new().read_from_container(&mut Cursor::new(&bytes));
-    let exif = exif.ok()?;
+    let exif = exif_of(path)?;
     let rationals = |tag: Tag| -> Option<Vec<f64>> {
         match &exif.get_field(tag, In::PRIMARY)?.value {
             Value::Rational(values) => Some(values.iter().map(exif::Rational::to_f64).collect()),
@@ -60,6 +56,13 @@ pub(crate) fn exif_place(path: &Path) -> Option<GlobalPlace> {
     );
     let altitude = altitude.map(|metres| if is_below_the_sea { -metres } else { metres });
     GlobalPlace::new([latitude, longitude], altitude)
+}
+
+/// The Exif block of an image.
+fn exif_of(path: &Path) -> Option<Exif> {
+    let bytes = read_image_file(path).ok()?;
+    let exif = Reader::new().read_from_container(&mut Cursor::new(&bytes));
+    exif.ok()
 }
 
 /// The first letter of a text.

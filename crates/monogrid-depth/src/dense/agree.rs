@@ -37,6 +37,20 @@ struct Opinions {
 }
 
 impl DenseDepth {
+    /// The inverse depth of the pixel in which a point in the own frame is seen; `None` where that
+    /// is unknown, outside of the image, and behind it. `camera` is that of the half image.
+    pub(super) fn at_point(&self, point: &Vec3, camera: &Pinhole) -> Option<f32> {
+        if point.z <= 1e-9 {
+            return None;
+        }
+        let at = camera.project(point);
+        let (x, y) = (at.x + 0.5, at.y + 0.5);
+        let (width, height) = (self.idepth.width() as f64, self.idepth.height() as f64);
+        let is_inside = x >= 0.0 && y >= 0.0 && x < width && y < height;
+        let idepth = is_inside.then(|| self.idepth.at(x as usize, y as usize))?;
+        (idepth > 0.0).then_some(idepth)
+    }
+
     /// The depth of the pixels that at least `config.min_agreeing` supporting views confirm to
     /// within 2 % (one less where they agree closely) and are not outvoted by others, with the
     /// variance of the own costs, of the disagreement at the pixel, and of the disagreement that
@@ -130,16 +144,8 @@ fn heard(
 /// `None` where it has none.
 fn difference(point: &Vec3, view: &SupportingView, camera: &Pinhole) -> Option<f32> {
     let seen = view.view_from_keyframe * *point;
-    if seen.z <= 1e-9 {
-        return None;
-    }
-    let at = camera.project(&seen);
-    let idepths = &view.depth.idepth;
-    let (x, y) = (at.x + 0.5, at.y + 0.5);
-    let is_inside =
-        x >= 0.0 && y >= 0.0 && x < idepths.width() as f64 && y < idepths.height() as f64;
-    let idepth = is_inside.then(|| idepths.at(x as usize, y as usize))?;
-    (idepth > 0.0).then_some(idepth * seen.z as f32 - 1.0)
+    let idepth = view.depth.at_point(&seen, camera)?;
+    Some(idepth * seen.z as f32 - 1.0)
 }
 
 /// How much the pixels of a keyframe and its supporting views differ.

@@ -112,16 +112,9 @@ impl DenseDepth {
                 }
                 let ray = pair.camera.unproject(&Vec2::new(x as f64, y as f64));
                 let point = pair.second_from_first * (ray / f64::from(idepth));
-                let at = pair.camera.project(&point);
-                let is_inside = point.z > 0.0
-                    && (-0.5..width as f64 - 0.5).contains(&at.x)
-                    && (-0.5..height as f64 - 0.5).contains(&at.y);
-                let is_seen = is_inside && {
-                    let seen = second
-                        .idepth
-                        .at((at.x + 0.5) as usize, (at.y + 0.5) as usize);
-                    seen > 0.0 && (seen - 1.0 / point.z as f32).abs() <= max_difference
-                };
+                let seen = second.at_point(&point, &pair.camera);
+                let is_seen =
+                    seen.is_some_and(|d| (d - 1.0 / point.z as f32).abs() <= max_difference);
                 if !is_seen {
                     self.idepth.set(x, y, 0.0);
                 }

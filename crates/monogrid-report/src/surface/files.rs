@@ -206,14 +206,7 @@ fn description(mesh: &ColouredMesh, unit: &str, bytes: &[usize; 4]) -> Value {
         let extras = json!({ "unit": unit });
         return json!({ "asset": { "version": "2.0", "generator": "monogrid", "extras": extras } });
     }
-    let corner = |limit: f32, of: fn(f32, f32) -> f32| {
-        let vertices = surface.vertices.iter();
-        vertices.fold([limit; 3], |corner, vertex| {
-            [0, 1, 2].map(|axis| of(corner[axis], vertex[axis]))
-        })
-    };
-    let low = corner(f32::INFINITY, f32::min);
-    let high = corner(f32::NEG_INFINITY, f32::max);
+    let [low, high] = extent(&surface.vertices);
     let mut offset = 0;
     let views: Vec<Value> = bytes
         .iter()
@@ -259,6 +252,19 @@ fn linear_colour(srgb: &[u8; 3]) -> [u8; 8] {
         two.copy_from_slice(&((linear(*value) * 65535.0).round() as u16).to_le_bytes());
     }
     bytes
+}
+
+/// The corners of the box around points; infinite, and the wrong way round, where there are none.
+pub(super) fn extent(points: &[[f32; 3]]) -> [[f32; 3]; 2] {
+    let corner = |limit: f32, of: fn(f32, f32) -> f32| {
+        points.iter().fold([limit; 3], |corner, point| {
+            [0, 1, 2].map(|axis| of(corner[axis], point[axis]))
+        })
+    };
+    [
+        corner(f32::INFINITY, f32::min),
+        corner(f32::NEG_INFINITY, f32::max),
+    ]
 }
 
 /// The light of a value of sRGB, from 0 to 1.

@@ -4,7 +4,7 @@
 //! at multiples of 64 bytes. The scene is text (`.usda`).
 
 use super::ColouredMesh;
-use super::files::linear;
+use super::files::{extent, linear};
 use std::fmt::Write as _;
 use std::io::{self, Write};
 
@@ -40,22 +40,12 @@ fn scene(mesh: &ColouredMesh, unit: &str) -> String {
          def Mesh \"surface\"\n    {{\n        uniform bool doubleSided = 1\n        \
          uniform token subdivisionScheme = \"none\"\n"
     );
-    let corner = |limit: f32, of: fn(f32, f32) -> f32| {
-        let vertices = surface.vertices.iter();
-        vertices.fold([limit; 3], |corner, vertex| {
-            [0, 1, 2].map(|axis| of(corner[axis], vertex[axis]))
-        })
-    };
-    let box_of_all = [
-        (f32::INFINITY, f32::min as fn(f32, f32) -> f32),
-        (f32::NEG_INFINITY, f32::max),
-    ];
     let colours = mesh.colours.iter();
     let colours = colours.map(|colour| colour.map(|value| format!("{:.4}", linear(value))));
     let lines = [
         (
             "float3[] extent",
-            triples(box_of_all.into_iter().map(|(limit, of)| corner(limit, of))),
+            triples(extent(&surface.vertices).into_iter()),
             "",
         ),
         (

@@ -36,7 +36,7 @@ pub struct Georeference {
     rmse: f64,
     /// Root mean square of the distances of the places from their middle, m.
     spread: f64,
-    /// The same across the line that fits the places best, m.
+    /// Root mean square of their distances from the line that fits them best, m.
     across: f64,
 }
 
