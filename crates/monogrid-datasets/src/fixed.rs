@@ -182,18 +182,21 @@ impl FixedPartFinder {
             num_changed as f64 / area.num().max(1) as f64
         };
         let mut area = whole;
-        // sides beside which hardly anything changes, until there are none
-        while let Some(smaller) = area.without_a_side(|side| share(side) <= MAX_BESIDE) {
-            area = smaller;
-            if area.num() == 0 {
+        // without sides in which hardly anything changes, until there are none
+        loop {
+            let smaller = area.without_sides(|side| share(side) <= MAX_BESIDE);
+            if smaller.width().min(smaller.height()) < BLOCKS / 8 {
                 return None;
             }
+            if smaller == area {
+                break;
+            }
+            area = smaller;
         }
-        let is_edge_clear = area
-            .sides()
-            .iter()
-            .zip(whole.sides())
-            .all(|(side, outer)| *side == outer || share(side) >= MIN_WITHIN);
+        let is_clear = |side: &Area| whole.sides().contains(side) || share(side) >= MIN_WITHIN;
+        // compression takes motion across the edge
+        area = area.without_sides(|side| !is_clear(side));
+        let is_edge_clear = area.sides().iter().all(is_clear);
         let activity: f64 = area
             .places()
             .filter(is_changed)
@@ -201,9 +204,8 @@ impl FixedPartFinder {
             .sum();
         let intervals = (self.num_samples - 1) as f64;
         let active = activity / (intervals * area.num().max(1) as f64);
-        let is_large = area.width() >= BLOCKS / 8 && area.height() >= BLOCKS / 8;
         let moves = share(&area) >= MIN_CHANGED && active >= MIN_ACTIVE;
-        (is_edge_clear && is_large && moves).then_some(area)
+        (is_edge_clear && moves).then_some(area)
     }
 
     /// Blocks within the picture that something is drawn in and that stay the same.
@@ -330,29 +332,13 @@ impl Area {
         ]
     }
 
-    /// Without the first side that `is_beside`.
-    fn without_a_side(&self, is_beside: impl Fn(&Self) -> bool) -> Option<Self> {
-        let [left, right] = self.x;
-        let [top, bottom] = self.y;
-        let found = self.sides().iter().position(is_beside)?;
-        Some(match found {
-            0 => Self {
-                x: [left + 1, right],
-                ..*self
-            },
-            1 => Self {
-                x: [left, right - 1],
-                ..*self
-            },
-            2 => Self {
-                y: [top + 1, bottom],
-                ..*self
-            },
-            _ => Self {
-                y: [top, bottom - 1],
-                ..*self
-            },
-        })
+    /// Without all sides that `are_beside`.
+    fn without_sides(&self, are_beside: impl Fn(&Self) -> bool) -> Self {
+        let [left, right, top, bottom] = self.sides().map(|side| usize::from(are_beside(&side)));
+        Self {
+            x: [self.x[0] + left, self.x[1] - right],
+            y: [self.y[0] + top, self.y[1] - bottom],
+        }
     }
 }
 
@@ -407,6 +393,19 @@ mod tests {
         }
         assert_eq!(fixed.mask.row(120)[160], 255);
         assert!(fixed.finding().contains("200x160"), "{}", fixed.finding());
+    }
+
+    /// Compression lets what moves change some of the border beside it.
+    #[test]
+    fn the_edge_of_a_picture_may_be_blurred() {
+        let is_inside = |x: usize, y: usize| (80..280).contains(&x) && (40..200).contains(&y);
+        let fixed = found(|k, x, y| match is_inside(x, y) {
+            true => pattern(x + 13 * k, y + 5 * k),
+            false if (38..40).contains(&y) && (100..150).contains(&x) => (20 * (k % 2)) as f32,
+            false => pattern(x + 1000, y),
+        });
+        let picture = fixed.unwrap().picture;
+        assert_eq!((picture.top, picture.height), (40, 160));
     }
 
     #[test]
