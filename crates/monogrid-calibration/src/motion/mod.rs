@@ -34,10 +34,10 @@ pub enum CameraMotion {
 /// Pixels of an image 640 pixels wide: lengths below are of such images.
 const OF_WIDTH: f64 = 640.0;
 /// Motion of a corner up to which it stays where it was, px.
-const AT_REST: f64 = 1.5;
+const AT_REST: f64 = 1.0;
 /// Share of the corners at rest from which a frame shows a camera that stands still: the rest are
 /// on what moves before it.
-const MIN_AT_REST: f64 = 0.35;
+const MIN_AT_REST: f64 = 0.2;
 /// Frames after which it can be said that a camera stands still, and the share of them that must
 /// say so.
 const MIN_STILL_FRAMES: usize = 15;

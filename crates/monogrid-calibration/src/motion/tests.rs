@@ -131,19 +131,22 @@ fn a_camera_that_stands_still_is_told_whatever_moves_before_it() {
         motion(&camera, false, still, unchanged),
         CameraMotion::StandsStill
     );
-    let passes = |k: usize, image: &mut GrayImage| {
-        for y in 60..200 {
-            for (x, pixel) in image.row_mut(y).iter_mut().enumerate() {
-                if (3 * k..3 * k + 110).contains(&x) {
-                    *pixel = texture(0.2 * (x as f64 - 3.0 * k as f64) + 900.0, 0.2 * y as f64);
+    // something small, and something before which little else is seen
+    for (wide, high) in [(110, 60..200), (200, 20..220)] {
+        let passes = |k: usize, image: &mut GrayImage| {
+            let left = k * (SIZE.0 - wide) / NUM;
+            for y in high.clone() {
+                for (x, pixel) in image.row_mut(y)[left..left + wide].iter_mut().enumerate() {
+                    *pixel = texture(0.1 * x as f64 + 900.0, 0.1 * y as f64);
                 }
             }
-        }
-    };
-    assert_eq!(
-        motion(&camera, false, still, passes),
-        CameraMotion::StandsStill
-    );
+        };
+        assert_eq!(
+            motion(&camera, false, still, passes),
+            CameraMotion::StandsStill,
+            "{wide} px wide"
+        );
+    }
 }
 
 #[test]
