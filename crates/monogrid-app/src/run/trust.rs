@@ -1,7 +1,8 @@
 //! How far to trust a map, in one sentence: what is least certain, and how to film so that it is.
 
-use crate::input::Input;
+use crate::input::{Input, seen};
 use crate::run::summary::{Status, Summary};
+use monogrid_calibration::CameraMotion;
 
 /// Things that are named, at most: the least certain ones.
 const MAX_NAMED: usize = 3;
@@ -31,24 +32,46 @@ fn is_focal_assumed(input: &Input) -> bool {
 
 /// What is uncertain, the worst first.
 fn uncertainties(summary: &Summary, is_focal_assumed: bool) -> Vec<Uncertainty> {
-    let missing = 1.0 - summary.tracked as f64 / summary.frames.max(1) as f64;
-    let is_open = summary.loop_closures == 0 && summary.keyframes >= OPEN_PATH;
-    let all = [
+    let depth = of_depth(summary, is_focal_assumed);
+    let all = depth.into_iter().chain(of_places(summary));
+    let found = all.filter(|(is_doubted, ..)| *is_doubted);
+    found
+        .map(|(_, what, cure)| Uncertainty { what, cure })
+        .collect()
+}
+
+/// Whether something is uncertain, what it is, and what makes it certain.
+type Doubt = (bool, &'static str, &'static str);
+
+fn of_depth(summary: &Summary, is_focal_assumed: bool) -> [Doubt; 4] {
+    [
         (
             summary.points == 0,
             "the depth, none of which is precise enough to be mapped",
             "give --calibration, or move sideways before what is near",
         ),
         (
-            is_focal_assumed,
-            "the focal length, which is assumed: depth and shape may be stretched",
-            "turn the camera while moving it sideways, or give --calibration",
-        ),
-        (
             summary.keyframes == 1,
             "the depth, which was seen from about one place",
             "move sideways",
         ),
+        (
+            summary.motion == Some(seen::name(CameraMotion::Unclear)),
+            "the depth: the images do not show whether the camera moved or only turned",
+            "move sideways, by a tenth of the distance to what it sees or more",
+        ),
+        (
+            is_focal_assumed,
+            "the focal length, which is assumed: depth and shape may be stretched",
+            "turn the camera while moving it sideways, or give --calibration",
+        ),
+    ]
+}
+
+fn of_places(summary: &Summary) -> [Doubt; 7] {
+    let missing = 1.0 - summary.tracked as f64 / summary.frames.max(1) as f64;
+    let is_open = summary.loop_closures == 0 && summary.keyframes >= OPEN_PATH;
+    [
         (
             missing >= MIN_MISSING,
             "what the frames without a pose saw, which is not in the map",
@@ -84,11 +107,7 @@ fn uncertainties(summary: &Summary, is_focal_assumed: bool) -> Vec<Uncertainty> 
             "drift, which no closed loop has corrected",
             "end where you began",
         ),
-    ];
-    let found = all.into_iter().filter(|(is_doubted, ..)| *is_doubted);
-    found
-        .map(|(_, what, cure)| Uncertainty { what, cure })
-        .collect()
+    ]
 }
 
 /// Keyframes from which a path without a loop may have drifted.
