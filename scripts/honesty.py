@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
 """Recordings that show no depth, and ordinary ones: which end with a map, and what is said of them.
 
-    scripts/honesty.py PROGRAM [KIND ...]      kinds: pan, still, screen, ordinary
+    scripts/honesty.py PROGRAM [KIND ...]      kinds: pan, still, screen, ordinary, tilted
 
 Twenty pans (five focal lengths, tripod and hand, with and without a calibration), ten still cameras before which
-something moves, five recordings of a screen with a border, forty ordinary recordings of 320x240. No pan and no
-still camera may end with exit code 0; every ordinary one must. Rendered into ${TMPDIR:-/tmp}/honesty, where they
-stay. Needs numpy, pillow and ffmpeg.
+something moves, five recordings of a screen with a border, forty ordinary recordings of 320x240, sixty with a camera
+that is held askew. No pan and no still camera may end with exit code 0; every other recording must. Where there is a
+map, up is wrong when it is called certain and is off by more than 5 degrees, the floor when it lies more than a
+twentieth of the camera's height off. Rendered into ${TMPDIR:-/tmp}/honesty, where they stay. Needs numpy, pillow and
+ffmpeg.
 """
 import json
 import math
@@ -14,6 +16,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -162,6 +165,46 @@ def ordinary(program):
         yield name + ("" if is_calibrated else "-uncalibrated"), folder, is_calibrated
 
 
+def tilted(program):
+    """Built-in motion with a camera that is turned about its own axes: rolled by up to 40 degrees, up to 50 down."""
+    for number in range(60):
+        world = ("living-room", "office", "machine-hall", "stairs", "corridor-loop")[number % 5]
+        random = np.random.default_rng(1000 + number)
+        roll, pitch = math.radians(random.uniform(-40, 40)), math.radians(random.uniform(-50, 20))
+        lines = []
+        for pose in places(program, world)[number : number + 240]:
+            rotation = times_quaternion(pose[4:8], (math.sin(pitch / 2), 0, 0, math.cos(pitch / 2)))
+            rotation = times_quaternion(rotation, (0, 0, math.sin(roll / 2), math.cos(roll / 2)))
+            lines.append(" ".join(f"{number:.9f}" for number in (*pose[:4], *rotation)))
+        path = WORK / f"tilted-{number}.txt"
+        path.write_text("\n".join(lines) + "\n")
+        name = f"tilted-{number:02}-{world}"
+        folder = synth(program, name, world, "--trajectory", path, "--size", "320x240", "--seed", str(number))
+        yield name, folder, number % 2 == 0
+
+
+def matrix(quaternion):
+    x, y, z, w = quaternion
+    return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                     [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                     [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]])
+
+
+def judged(out, truth):
+    """Angle between up of the map and of the world, degrees; height of the map's z = 0 below the camera, as a share of the
+    true height of the camera above the world's z = 0."""
+    estimate, exact = np.loadtxt(out / "trajectory.txt", ndmin=2), poses(truth)
+    pairs = [(e, exact[np.argmin(abs(exact[:, 0] - e[0]))]) for e in estimate]
+    total = sum(matrix(t[4:8]) @ matrix(e[4:8]).T for e, t in pairs)
+    u, _, v = np.linalg.svd(total)
+    world_from_map = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v
+    angle = math.degrees(math.acos(min(1, (world_from_map @ [0, 0, 1])[2])))
+    e, t = (np.array([pair[at][1:4] for pair in pairs]) for at in (0, 1))
+    centred = [(e - e.mean(0)) @ world_from_map.T, t - t.mean(0)]
+    scale = (centred[0] * centred[1]).sum() / (centred[0] ** 2).sum()
+    return angle, scale * e[:, 2].mean() / t[:, 2].mean()
+
+
 def bare(folder):
     """The images and their times alone."""
     alone = folder.with_name(folder.name + "-bare")
@@ -174,6 +217,7 @@ def bare(folder):
 
 def result(program, recording):
     name, source, is_calibrated = recording
+    folder = source
     with tempfile.TemporaryDirectory() as scratch:
         out = Path(scratch) / "run"
         calibration = ["--calibration", source / "calibration.txt"] if is_calibrated else []
@@ -184,10 +228,12 @@ def result(program, recording):
         if keep:
             (Path(keep) / f"{name}.txt").write_text(run.stdout + run.stderr)
         summary = json.loads((out / "summary.json").read_text()) if (out / "summary.json").exists() else {}
-    return name, run.returncode, summary
+        has_truth = folder.is_dir() and summary.get("keyframes")
+        truth = judged(out, folder) if has_truth else None
+    return name, run.returncode, summary, truth
 
 
-KINDS = {"pan": pans, "still": stills, "screen": screens, "ordinary": ordinary}
+KINDS = {"pan": pans, "still": stills, "screen": screens, "ordinary": ordinary, "tilted": tilted}
 
 
 def main():
@@ -195,19 +241,31 @@ def main():
         sys.exit(__doc__)
     program, kinds = Path(sys.argv[1]).resolve(), sys.argv[2:] or list(KINDS)
     WORK.mkdir(exist_ok=True)
-    print("| recording | exit | motion | status | frames | keyframes | wrong |\n|---|---|---|---|---|---|---|")
+    print("| recording | exit | motion | status | frames | keyframes | up | floor |\n|---|---|---|---|---|---|---|---|")
     counts = []
     for kind in kinds:
-        recordings, wrong = list(KINDS[kind](program)), 0
+        recordings, count = list(KINDS[kind](program)), Counter()
         with ThreadPoolExecutor(2) as pool:
-            for name, code, summary in pool.map(lambda recording: result(program, recording), recordings):
-                is_wrong = code != 0 if kind in ("ordinary", "screen") else code == 0
-                wrong += is_wrong
-                shown = (summary.get(key) for key in ("motion", "status"))
-                tracked = f"{summary.get('tracked')} of {summary.get('frames')}"
-                print(f"| {name} | {code} | {' | '.join(map(str, shown))} | {tracked} | {summary.get('keyframes')} | {'yes' if is_wrong else ''} |", flush=True)
-        counts.append(f"{kind}: {wrong} of {len(recordings)} wrong")
-    print("\n" + "; ".join(counts))
+            for name, code, summary, truth in pool.map(lambda recording: result(program, recording), recordings):
+                count["wrong end"] += (code == 0) == (kind in ("pan", "still"))
+                up, floor = judgement(summary, truth, count)
+                shown = (code, summary.get("motion"), summary.get("status"), f"{summary.get('tracked')} of {summary.get('frames')}")
+                print(f"| {name} | {' | '.join(map(str, shown))} | {summary.get('keyframes')} | {up} | {floor} |", flush=True)
+        counts.append(f"{kind}: {len(recordings)} recordings, " + ", ".join(f"{number} {what}" for what, number in count.items()))
+    print("\n" + "\n".join(counts))
+
+
+def judgement(summary, truth, count):
+    """What is said of up and floor, beside the truth."""
+    if truth is None:
+        return "", ""
+    angle, height = truth
+    is_certain, has_floor = summary["up"]["is_certain"], summary["floor"] is not None
+    count["up certain"] += is_certain
+    count["of these wrong"] += is_certain and angle > 5
+    count["floor"] += has_floor
+    count["of these wrong floor"] += has_floor and abs(height - 1) > 0.05
+    return f"{'certain' if is_certain else 'uncertain'} {summary['up']['confidence']:.2f}, off by {angle:.1f}", f"{height:.2f} of the height" if has_floor else ""
 
 
 main()
