@@ -71,3 +71,19 @@ evaluated() {
   [ -f "$truth" ] || truth=$2
   kept "$1.ate" "$bin" evaluate trajectory "$1/trajectory.txt" "$truth" --json 2>/dev/null
 }
+
+# begin [FOLDER]: $folder, which keeps what the script makes (without a name a temporary one), and $bin, built unless BIN names one.
+begin() {
+  folder=${1:-}
+  if [ -z "$folder" ]; then
+    folder=$(mktemp -d)
+    trap 'rm -rf "$folder"' EXIT
+  fi
+  mkdir -p "$folder"
+  if [ -n "${BIN:-}" ]; then
+    bin=$BIN
+  else
+    cargo build --quiet --release -p monogrid-cli
+    bin=${CARGO_TARGET_DIR:-target}/release/monogrid
+  fi
+}

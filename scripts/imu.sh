@@ -16,18 +16,7 @@ worlds=${WORLDS:-living-room office machine-hall corridor-loop blank-walls}
 seeds=${SEEDS:-0 1 2}
 frames=${FRAMES:-300}
 size=${SIZE:-640x480}
-folder=${1:-}
-if [ -z "$folder" ]; then
-  folder=$(mktemp -d)
-  trap 'rm -rf "$folder"' EXIT
-fi
-mkdir -p "$folder"
-if [ -n "${BIN:-}" ]; then
-  bin=$BIN
-else
-  cargo build --quiet --release -p monogrid-cli
-  bin=${CARGO_TARGET_DIR:-target}/release/monogrid
-fi
+begin "${1:-}"
 rows=$folder/rows
 : >"$rows"
 

@@ -14,18 +14,7 @@ esac
 worlds=${WORLDS:-living-room office machine-hall}
 seeds=${SEEDS:-0}
 frames=${FRAMES:-300}
-folder=${1:-}
-if [ -z "$folder" ]; then
-  folder=$(mktemp -d)
-  trap 'rm -rf "$folder"' EXIT
-fi
-mkdir -p "$folder"
-if [ -n "${BIN:-}" ]; then
-  bin=$BIN
-else
-  cargo build --quiet --release -p monogrid-cli
-  bin=${CARGO_TARGET_DIR:-target}/release/monogrid
-fi
+begin "${1:-}"
 
 # lens NAME FOCAL MODEL DISTORTION: a camera of 640x480 pixels
 lens() {

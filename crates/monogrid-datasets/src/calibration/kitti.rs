@@ -19,13 +19,7 @@ pub(super) fn parse(
     path: &Path,
     images: Images<'_>,
 ) -> Option<Result<Calibration, DatasetError>> {
-    let of_label = |label: &str| {
-        let values = lines
-            .iter()
-            .find_map(|(_, line)| line.strip_prefix(label)?.strip_prefix(':'));
-        values.and_then(numbers)
-    };
-    let matrix = |values: Option<Vec<f64>>| -> Option<[f64; 12]> { values?.try_into().ok() };
+    let of_label = |label: &str| of_label(lines, label);
     let cameras = CAMERAS.map(|camera| Camera {
         name: camera,
         size: of_label(&format!("S_{camera}")),
@@ -45,6 +39,24 @@ pub(super) fn parse(
     let first = || numbers(lines.first()?.1);
     let matrix = matrix(labelled.or_else(first))?;
     Some(alone(&matrix, path, images.size))
+}
+
+/// The numbers of a label.
+fn of_label(lines: &[(usize, &str)], label: &str) -> Option<Vec<f64>> {
+    let mut all = lines.iter();
+    let values = all.find_map(|(_, line)| line.strip_prefix(label)?.strip_prefix(':'));
+    values.and_then(numbers)
+}
+
+fn matrix(values: Option<Vec<f64>>) -> Option<[f64; 12]> {
+    values?.try_into().ok()
+}
+
+/// The projection matrix of a rectified camera, by its number: of odometry, else of a raw
+/// recording.
+pub(super) fn projection_of(lines: &[(usize, &str)], camera: &str) -> Option<[f64; 12]> {
+    let labels = [format!("P{camera}"), format!("P_rect_{camera}")];
+    matrix(labels.iter().find_map(|label| of_label(lines, label)))
 }
 
 /// Whether a text has labels of KITTI in front of its numbers.
@@ -94,7 +106,8 @@ fn is_size(found: Option<&[f64]>, (width, height): (usize, usize)) -> bool {
     found == Some(&[width as f64, height as f64][..])
 }
 
-fn projection(matrix: &[f64; 12]) -> Pinhole {
+/// The pinhole of a projection matrix.
+pub(super) fn projection(matrix: &[f64; 12]) -> Pinhole {
     Pinhole::new(matrix[0], matrix[5], matrix[2], matrix[6])
 }
 

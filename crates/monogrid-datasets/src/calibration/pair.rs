@@ -1,11 +1,11 @@
 //! The calibration of the second camera of a stereo pair.
 
 use super::document::Document;
-use super::{Images, cameras};
-use crate::text::{data_lines, numbers, read_text};
+use super::{Images, cameras, kitti};
+use crate::text::{data_lines, read_text};
 use crate::trajectory::pose_from_matrix;
 use crate::{Calibration, DatasetError};
-use monogrid_geometry::{Camera, Distortion, Pinhole, Rotation, Se3, Vec3};
+use monogrid_geometry::{Camera, Distortion, Rotation, Se3, Vec3};
 use std::path::Path;
 
 /// The second camera of a stereo pair.
@@ -79,19 +79,15 @@ fn of_projections(
     cameras: [&str; 2],
     (width, height): (usize, usize),
 ) -> Option<SecondCamera> {
-    let matrix = |number: &str| -> Option<[f64; 12]> {
-        let labels = [format!("P{number}:"), format!("P_rect_{number}:")];
-        let mut lines = data_lines(text);
-        let values = lines.find_map(|(_, line)| labels.iter().find_map(|l| line.strip_prefix(l)));
-        numbers(values?)?.try_into().ok()
-    };
-    let [first, second] = [matrix(cameras[0])?, matrix(cameras[1])?];
+    let lines: Vec<(usize, &str)> = data_lines(text).collect();
+    let first = kitti::projection_of(&lines, cameras[0])?;
+    let second = kitti::projection_of(&lines, cameras[1])?;
     let offset = |m: &[f64; 12]| Vec3::new(m[3] / m[0], m[7] / m[5], 0.0);
     Some(SecondCamera {
         camera: Camera {
             width,
             height,
-            pinhole: Pinhole::new(second[0], second[5], second[2], second[6]),
+            pinhole: kitti::projection(&second),
             distortion: Distortion::None,
         },
         second_from_first: Se3::new(Rotation::identity(), offset(&second) - offset(&first)),

@@ -1,19 +1,23 @@
 //! Trajectories, tables and the graph of keyframes as files.
 
 use crate::output::OutputFolder;
-use crate::process::failure::Failure;
+use crate::process::failure::{Classify, Failure};
 use crate::run::RunSettings;
 use crate::run::align::{MapFrame, in_map};
 use crate::run::sessions::{Earlier, MAP_FROM_WORLD, tracked_frame};
 use crate::run::tracking::frames::{FrameFate, FrameRow};
 use crate::run::tracking::tracked::Tracked;
-use monogrid_datasets::{TimedPose, format_seconds, format_sim3, format_tum};
+use monogrid_datasets::{
+    TimedPose, format_seconds, format_sim3, format_tum, parse_seconds, read_file,
+};
 use monogrid_geometry::{Se3, Sim3};
 use monogrid_graph::g2o;
 use monogrid_graph::pose_graph::PoseGraph;
 use monogrid_mapping::z_up_from_camera_world;
 use monogrid_slam::{FrameReport, TrajectoryPose};
+use std::collections::BTreeMap;
 use std::fmt::Write;
+use std::path::Path;
 
 /// Writes `trajectory.txt`, `trajectory_fragment_N.txt`, `trajectory_live.txt`,
 /// `trajectory_odometry.txt`, `frames.csv`, `keyframes.txt`, `trajectory_earlier.txt`,
@@ -207,6 +211,20 @@ fn frames_csv(rows: &[FrameRow]) -> String {
         let _ = writeln!(text, ",{}", latency.unwrap_or_default());
     }
     text
+}
+
+/// Largest table of frames that is read: days of video.
+const MAX_TABLE_BYTES: u64 = 1 << 30;
+
+/// Times of the frames by number, of the `frames.csv` of a run.
+pub fn frame_times_ns(table: &Path) -> Result<BTreeMap<usize, i64>, Failure> {
+    let bytes = read_file(table, MAX_TABLE_BYTES).bad_input()?;
+    let text = String::from_utf8_lossy(&bytes);
+    let time_of = |line: &str| {
+        let mut fields = line.split(',');
+        Some((fields.next()?.parse().ok()?, parse_seconds(fields.next()?)?))
+    };
+    Ok(text.lines().filter_map(time_of).collect())
 }
 
 /// What happened with a frame beside its tracking, several separated by spaces.

@@ -12,10 +12,11 @@ use monogrid_app::output::{Inputs, OutputFile};
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
 use monogrid_app::recorded::{by_camera, cameras_of, scans_of};
 use monogrid_app::run::align::{read_reference, stamped_all};
+use monogrid_app::run::outputs::frame_times_ns;
 use monogrid_app::run::sessions::Source;
 use monogrid_datasets::{
     Dataset, DepthRegistration, RecordedCamera, Recording, Scale, SourceOptions, format_sim3,
-    parse_seconds, read_file, read_trajectory,
+    read_trajectory,
 };
 use monogrid_evaluation::{
     DepthConfig, DepthEvaluator, DepthReport, KeyframeDepth, TrajectoryAlignment, TrajectoryConfig,
@@ -27,7 +28,7 @@ use monogrid_mapping::{KeyframeScan, refined_depths};
 use monogrid_occupancy::DepthPixel as Measurement;
 use monogrid_slam::DepthPixel;
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// How an estimated trajectory is aligned to the truth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -84,9 +85,6 @@ pub struct EvaluateDepthArgs {
     pub json: JsonArg,
 }
 
-/// Largest table of frames that is read: days of video.
-const MAX_TABLE_BYTES: u64 = 1 << 30;
-
 /// Compares an estimated trajectory with the true one.
 pub fn trajectory(args: &EvaluateTrajectoryArgs) -> CommandResult {
     let inputs = Inputs::of("the estimate", &args.estimate).and("the truth", &args.truth);
@@ -95,7 +93,9 @@ pub fn trajectory(args: &EvaluateTrajectoryArgs) -> CommandResult {
     let estimate = read_trajectory(&args.estimate).bad_input()?;
     let truth = read_reference(&args.truth)?;
     let folder = args.estimate.parent();
-    let frame_times = folder.and_then(|folder| frame_times_ns(&folder.join("frames.csv")));
+    // where the results of its run lie beside it, coverage counts all frames of that
+    let frame_times = folder.and_then(|folder| frame_times_ns(&folder.join("frames.csv")).ok());
+    let frame_times: Option<Vec<i64>> = frame_times.map(|times| times.into_values().collect());
     let config = TrajectoryConfig {
         alignment: match args.align {
             AlignMode::Sim3 => TrajectoryAlignment::Sim3,
@@ -111,18 +111,6 @@ pub fn trajectory(args: &EvaluateTrajectoryArgs) -> CommandResult {
         file.write(format_sim3(&report.gt_from_est).as_bytes())?;
     }
     args.json.print(&report, || print_trajectory(&report))
-}
-
-/// Times of the frames of the run whose results lie in the same folder; `None` where there are
-/// none.
-fn frame_times_ns(table: &Path) -> Option<Vec<i64>> {
-    let text = String::from_utf8(read_file(table, MAX_TABLE_BYTES).ok()?).ok()?;
-    let mut lines = text.lines();
-    let names = lines.next()?;
-    let column = names.split(',').position(|name| name == "timestamp")?;
-    lines
-        .map(|line| parse_seconds(line.split(',').nth(column)?))
-        .collect()
 }
 
 fn print_trajectory(report: &TrajectoryReport) {

@@ -5,14 +5,14 @@
 //! places are hardly better than a few: what is said of the uncertainty takes all of them for one.
 
 use monogrid_app::process::failure::{Classify, Failure};
+use monogrid_app::run::outputs::frame_times_ns;
 use monogrid_datasets::{
-    Dataset, GlobalPlace, SourceOptions, TimedPlace, TimedPose, parse_seconds,
-    places_of_photographs, read_file, read_places_of_subtitles, read_trajectory,
+    Dataset, GlobalPlace, SourceOptions, TimedPlace, TimedPose, places_of_photographs,
+    read_places_of_subtitles, read_trajectory,
 };
 use monogrid_geometry::nalgebra::Matrix3;
 use monogrid_geometry::{Sim3, Vec3, align_similarity};
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Most time between two poses that a place lies between.
@@ -21,8 +21,6 @@ const MAX_GAP_NS: i64 = 1_000_000_000;
 const MAX_SIGMA: f64 = 0.1;
 /// How far from a line, in errors of the receiver, positions say how the map is turned around it.
 const ACROSS: f64 = 3.0;
-/// Largest table of frames that is read.
-const MAX_TABLE_BYTES: u64 = 1 << 28;
 
 /// Where a map lies on the globe.
 #[derive(Debug)]
@@ -188,16 +186,6 @@ fn of_photographs(run: &Path, folder: &Path) -> Result<Vec<TimedPlace>, Failure>
         time_ns.is_some()
     });
     Ok(places_of_photographs(&frames))
-}
-
-fn frame_times_ns(table: &Path) -> Result<BTreeMap<usize, i64>, Failure> {
-    let text = read_file(table, MAX_TABLE_BYTES).bad_input()?;
-    let text = String::from_utf8_lossy(&text);
-    let time_of = |line: &str| {
-        let mut fields = line.split(',');
-        Some((fields.next()?.parse().ok()?, parse_seconds(fields.next()?)?))
-    };
-    Ok(text.lines().filter_map(time_of).collect())
 }
 
 #[cfg(test)]
