@@ -18,9 +18,6 @@ ROOT = Path(__file__).resolve().parent.parent
 MAX_FILES = 2
 # crate: files of its largest circle
 KNOWN = {
-    "monogrid-cli": 12,
-    "monogrid-occupancy": 6,
-    "monogrid-video": 6,
     "monogrid-worlds": 4,
 }
 

@@ -3,8 +3,8 @@
 use crate::commands::evaluate::{self, map as evaluate_map, truth};
 use crate::commands::maps::{distances, info, map, slice, tools};
 use crate::commands::runs::{batch, demo, export, merge_runs, report, rescale, run, view};
-use crate::commands::shell;
 use crate::commands::sources::{calibrate, cameras, check, synth};
+use crate::commands::{shell, with_numbers};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use monogrid_app::process::console::printable;
 use monogrid_thesis::ThesisCommand;
@@ -73,14 +73,6 @@ fn with_thesis(mut arguments: Vec<OsString>) -> Vec<OsString> {
 /// All commands; `-1` after an option is its value, so that the option says what is wrong with it.
 pub fn command() -> clap::Command {
     with_numbers(Cli::command())
-}
-
-fn with_numbers(command: clap::Command) -> clap::Command {
-    let command = command.mut_args(|arg| match arg.get_action().takes_values() {
-        true => arg.allow_negative_numbers(true),
-        false => arg,
-    });
-    command.mut_subcommands(with_numbers)
 }
 
 const EXIT_CODES: &str = "\

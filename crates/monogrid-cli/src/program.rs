@@ -3,7 +3,7 @@
 
 pub use monogrid_app::process::console::printable;
 
-use crate::cli::{Cli, Command, EvaluateCommand};
+use crate::cli::{Cli, Command, EvaluateCommand, command};
 use crate::{batch, commands};
 use monogrid_app::config::RunConfig;
 use monogrid_app::process::failure::CommandResult;
@@ -65,8 +65,8 @@ fn execute(cli: &Cli) -> CommandResult {
             EvaluateCommand::Map(args) => commands::evaluate::map::map(args),
             EvaluateCommand::Paths(args) => commands::evaluate::map::paths(args),
         },
-        Command::Completions(args) => commands::shell::completions(args),
-        Command::Man(args) => commands::shell::man(args),
+        Command::Completions(args) => commands::shell::completions(args, command()),
+        Command::Man(args) => commands::shell::man(args, command()),
     }
 }
 

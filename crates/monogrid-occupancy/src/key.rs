@@ -121,6 +121,9 @@ impl VoxelKey {
     }
 }
 
+/// Bricks to which something is restricted: packed keys, sorted.
+pub(crate) type BrickFilter<'a> = Option<&'a [u64]>;
+
 /// Integer address of a brick: the address of its cells divided by 8, rounded down.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct BrickKey {

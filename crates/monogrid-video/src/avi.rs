@@ -4,7 +4,9 @@
 //! RIFF parts where the file is longer than 1 GiB), each a JPEG image. An empty chunk says that the
 //! frame before is shown again; it only counts for the time.
 
-use crate::{Elsewhere, Here, Opened, VideoError, VideoFrame, jpeg_frame, time_at_rate};
+use crate::VideoError;
+use crate::frame::{VideoFrame, jpeg_frame, time_at_rate};
+use crate::opened::{Elsewhere, Here, Opened};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 

@@ -2,6 +2,15 @@
 
 use std::io::{Error, ErrorKind};
 
+/// What installs ffmpeg on this system.
+const INSTALL_COMMAND: &str = if cfg!(target_os = "macos") {
+    "brew install ffmpeg"
+} else if cfg!(windows) {
+    "winget install ffmpeg"
+} else {
+    "sudo apt install ffmpeg"
+};
+
 /// What is wrong with a video, camera or stream; every message names it, what was found and what to
 /// do.
 #[derive(Debug, thiserror::Error)]
@@ -24,7 +33,7 @@ pub enum VideoError {
     /// It can only be decoded by a program that is not there.
     #[error(
         "{video:?} ({found}) is decoded by ffmpeg, which is not installed: type `{}`",
-        crate::ffmpeg::INSTALL_COMMAND
+        INSTALL_COMMAND
     )]
     NeedsFfmpeg {
         /// The file or address.

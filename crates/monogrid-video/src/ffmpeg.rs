@@ -4,26 +4,17 @@
 //! on standard error when each frame is shown, which YUV4MPEG2 cannot carry. Both come in the order
 //! of frames, so the n-th time belongs to the n-th frame.
 
+use crate::VideoError;
+use crate::frame::{MAX_PIXELS, VideoFrame};
+use crate::opened::{Elsewhere, MIRRORED, Missing, Opened, stored_bytes};
 use crate::program::Program;
 use crate::turn::Turn;
 use crate::y4m::Y4mReader;
-use crate::{
-    Elsewhere, MAX_PIXELS, MIRRORED, Missing, Opened, VideoError, VideoFrame, stored_bytes,
-};
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{ChildStdout, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::JoinHandle;
-
-/// What installs ffmpeg on this system.
-pub(crate) const INSTALL_COMMAND: &str = if cfg!(target_os = "macos") {
-    "brew install ffmpeg"
-} else if cfg!(windows) {
-    "winget install ffmpeg"
-} else {
-    "sudo apt install ffmpeg"
-};
 
 /// Planes of 8 bits without stretching them, and the times.
 const FILTER: &str =

@@ -6,14 +6,13 @@ mod packets;
 
 pub(crate) use packets::PacketFrames;
 
+use crate::frame::{Grey, VideoFrame};
 use crate::mp4::{self, Sample, Track};
+use crate::opened::{Elsewhere, Here, MIRRORED, Missing, Opened};
 use crate::pixels::PixelShape;
 use crate::turn::Turn;
 use crate::y4m::in_bytes;
-use crate::{
-    Chroma, Colour, ColourSpace, Elsewhere, Grey, Here, MIRRORED, Missing, Opened, VideoError,
-    VideoFrame,
-};
+use crate::{Chroma, Colour, ColourSpace, VideoError};
 use bounded::BoundedDecoder;
 use monogrid_datasets::PixelBudget;
 use rust_h264::decoder::{ChromaFormat, Frame};

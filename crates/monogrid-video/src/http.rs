@@ -1,7 +1,9 @@
 //! MJPEG over HTTP (`multipart/x-mixed-replace`): what apps that make a phone a camera serve.
 
+use crate::VideoError;
 use crate::error::endless_header;
-use crate::{Opened, VideoError, VideoFrame, jpeg_frame};
+use crate::frame::{VideoFrame, jpeg_frame};
+use crate::opened::Opened;
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::time::Instant;

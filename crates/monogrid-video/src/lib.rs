@@ -35,13 +35,16 @@
 mod aside;
 mod avi;
 mod camera;
+mod clock;
 mod colour;
 mod error;
 mod ffmpeg;
+mod frame;
 mod h264;
 mod http;
 mod kind;
 mod mp4;
+mod opened;
 mod pixels;
 mod program;
 mod recording;
@@ -52,50 +55,24 @@ pub use aside::{Aside, Patience, Sink, Waited};
 pub use camera::{CameraInfo, list_cameras};
 pub use colour::{Chroma, Colour, ColourSpace};
 pub use error::VideoError;
+pub use frame::{Grey, VideoFrame};
 pub use kind::is_video_file;
 pub use monogrid_bags::is_bag as is_recording;
 pub use recording::Recorded;
 
+use clock::Clock;
+use frame::{Frames, MIN_FRAME_PIXELS};
 use kind::Kind;
-use monogrid_datasets::{PixelBudget, decode_jpeg_luma};
+use monogrid_datasets::PixelBudget;
 use monogrid_geometry::ReadoutDirection;
-use monogrid_image::Image;
-use pixels::PixelShape;
+use opened::{Elsewhere, Here, Missing, Opened, stored_bytes};
 use program::Program;
 use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 use turn::Turn;
-
-/// An 8-bit grey image.
-pub type Grey = Image<u8>;
-
-/// Most pixels of a frame: those of 8K, of which some are in memory at once; more is taken for
-/// damage.
-pub(crate) const MAX_PIXELS: usize = 1 << 25;
-
-/// Pixels that a frame counts for at least: each takes its time, and a small file can hold a
-/// million of them.
-pub(crate) const MIN_FRAME_PIXELS: usize = 1 << 13;
-
-/// One frame.
-#[derive(Clone, Debug, PartialEq)]
-pub struct VideoFrame {
-    /// Luma as the source has it (not stretched to the full range), upright.
-    pub image: Grey,
-    /// What it shows beside luma.
-    pub colour: Colour,
-    /// Time, nanoseconds: of the container for files, since the first frame for cameras and
-    /// streams.
-    pub timestamp_ns: i64,
-}
-
-/// What every decoder yields.
-pub(crate) type Frames = Box<dyn Iterator<Item = Result<VideoFrame, VideoError>> + Send>;
 
 /// An open video, camera or stream: an iterator over its frames in the order of time.
 ///
@@ -132,77 +109,6 @@ struct Begun {
     missing: Missing,
     recorded: Recorded,
 }
-
-/// Frames that a file should have and that gave no picture, so far.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Missing(Arc<AtomicUsize>);
-
-impl Missing {
-    pub(crate) fn add(&self, frames: usize) {
-        self.0.fetch_add(frames, Ordering::Relaxed);
-    }
-
-    /// One that was counted has come.
-    pub(crate) fn take_back(&self) {
-        self.0.fetch_sub(1, Ordering::Relaxed);
-    }
-
-    fn count(&self) -> usize {
-        self.0.load(Ordering::Relaxed)
-    }
-}
-
-/// A decoder and what is known before the first frame.
-pub(crate) struct Opened {
-    pub(crate) description: String,
-    pub(crate) length: Option<usize>,
-    pub(crate) live: bool,
-    /// How frames were turned to be upright.
-    pub(crate) turn: Turn,
-    /// The shape of their pixels, as they were turned.
-    pub(crate) pixels: PixelShape,
-    /// What people should know of how the source is read.
-    pub(crate) notes: Vec<String>,
-    pub(crate) missing: Missing,
-    pub(crate) frames: Frames,
-}
-
-impl Opened {
-    /// Of upright frames with square pixels.
-    pub(crate) fn new(description: impl Into<String>, frames: Frames) -> Self {
-        Self {
-            description: description.into(),
-            length: None,
-            live: false,
-            turn: Turn::None,
-            pixels: PixelShape::SQUARE,
-            notes: Vec::new(),
-            missing: Missing::default(),
-            frames,
-        }
-    }
-}
-
-/// A file that is not decoded here.
-pub(crate) struct Elsewhere {
-    /// What it is, for people.
-    pub(crate) found: String,
-    /// Whether its container mirrors the picture, which is not to be done.
-    pub(crate) is_mirrored: bool,
-}
-
-impl Elsewhere {
-    pub(crate) fn new(found: impl Into<String>) -> Self {
-        Self {
-            found: found.into(),
-            is_mirrored: false,
-        }
-    }
-}
-
-/// What is said of a container that mirrors its picture.
-pub(crate) const MIRRORED: &str = "the display matrix of the container mirrors the picture, and a \
-    mirrored picture makes a mirrored world: images are used as they are stored";
 
 /// A decoder whose first frame was read.
 struct Started {
@@ -393,10 +299,7 @@ impl Video {
         match begun {
             Ok(begun) => Ok(Self {
                 name,
-                clock: Clock {
-                    can_be_set_back: begun.live,
-                    ..Clock::default()
-                },
+                clock: Clock::new(begun.live),
                 begun,
                 messages,
                 program,
@@ -499,17 +402,6 @@ impl Video {
     }
 }
 
-/// Bytes of a file, or of the files in a folder; `None` of anything else, which may be endless.
-pub(crate) fn stored_bytes(path: &Path) -> Option<u64> {
-    let metadata = std::fs::metadata(path).ok()?;
-    if !metadata.is_dir() {
-        return metadata.is_file().then_some(metadata.len());
-    }
-    let files = std::fs::read_dir(path).ok()?;
-    let files = files.filter_map(|entry| std::fs::metadata(entry.ok()?.path()).ok());
-    Some(files.filter(|f| f.is_file()).map(|f| f.len()).sum())
-}
-
 impl Iterator for Video {
     type Item = Result<VideoFrame, VideoError>;
 
@@ -534,84 +426,6 @@ impl Iterator for Video {
                 frame.timestamp_ns = self.clock.increasing(frame.timestamp_ns);
                 frame
             })
-        })
-    }
-}
-
-/// How far a time must go back to be a clock that was set anew, and not frames that were swapped,
-/// ns.
-const CLOCK_JUMP_NS: i64 = 500_000_000;
-
-/// Swapped times up to this are rounding of editors and not worth a word, ns.
-const ROUNDING_NS: i64 = 1_000_000;
-
-/// Makes times increase: editors repeat times or swap them by microseconds, and clocks of robots
-/// are set back.
-#[derive(Debug, Default)]
-struct Clock {
-    /// Whether its source has a clock. In a file of a video, frames behind damage are out of order.
-    can_be_set_back: bool,
-    /// The last time that was given out.
-    last_ns: Option<i64>,
-    /// The last difference between two of them that was as the source had it.
-    step_ns: i64,
-    /// Added to times since the clock was set back.
-    shift_ns: i64,
-    /// Times that did not come after the one before.
-    repaired: usize,
-    /// Frames that have not even another time than the one before, or go back by more than
-    /// rounding.
-    faulty: usize,
-    /// How often the clock was set back, and how far at most, ns.
-    jumps: usize,
-    largest_jump_ns: i64,
-}
-
-impl Clock {
-    /// The time that is used for a frame of this time.
-    fn increasing(&mut self, time_ns: i64) -> i64 {
-        let mut used_ns = time_ns.saturating_add(self.shift_ns);
-        if let Some(last_ns) = self.last_ns {
-            let step_ns = used_ns.saturating_sub(last_ns);
-            if step_ns > 0 {
-                self.step_ns = step_ns;
-            } else {
-                let back_ns = step_ns.saturating_neg();
-                self.repaired += 1;
-                self.faulty += usize::from(back_ns == 0 || back_ns > ROUNDING_NS);
-                let is_jump = self.can_be_set_back && back_ns > CLOCK_JUMP_NS;
-                let after_ns = if is_jump { self.step_ns.max(1) } else { 1 };
-                let right_ns = last_ns.saturating_add(after_ns);
-                if is_jump {
-                    self.jumps += 1;
-                    self.largest_jump_ns = self.largest_jump_ns.max(back_ns);
-                    let shift_ns = right_ns.saturating_sub(used_ns);
-                    self.shift_ns = self.shift_ns.saturating_add(shift_ns);
-                }
-                used_ns = right_ns;
-            }
-        }
-        self.last_ns = Some(used_ns);
-        used_ns
-    }
-
-    fn fault(&self) -> Option<String> {
-        let faulty = self.faulty;
-        let set_back = format!(
-            "; the clock was set back {} times, by up to {:.3} s: times behind that go on from \
-             those before",
-            self.jumps,
-            self.largest_jump_ns as f64 * 1e-9
-        );
-        (faulty > 0).then(|| {
-            format!(
-                "{faulty} times do not come after those of the frames before{}",
-                if self.jumps > 0 {
-                    &set_back
-                } else {
-                    ": these frames are put right behind them"
-                }
-            )
         })
     }
 }
@@ -668,9 +482,6 @@ impl std::fmt::Debug for Video {
     }
 }
 
-/// What this process makes of a file; or what it is, where it cannot decode it.
-pub(crate) type Here = Result<Opened, Elsewhere>;
-
 fn open_here(path: &Path, name: &str) -> Result<Here, VideoError> {
     let io = |e| VideoError::io(name, e);
     let mut file = File::open(path).map_err(io)?;
@@ -700,92 +511,4 @@ fn open_y4m(name: &str, reader: impl Read + Send + 'static) -> Result<Opened, Vi
         notes: frames.note().into_iter().collect(),
         ..Opened::new("YUV4MPEG2", Box::new(frames))
     })
-}
-
-/// The frame in a JPEG file, number `frame` of its video.
-pub(crate) fn jpeg_frame(
-    video: &str,
-    frame: usize,
-    jpeg: Vec<u8>,
-    timestamp_ns: i64,
-) -> Result<VideoFrame, VideoError> {
-    let image = decode_jpeg_luma(&jpeg, MAX_PIXELS, Path::new(video));
-    Ok(VideoFrame {
-        image: image.map_err(|e| VideoError::frame(video, frame, e.to_string()))?,
-        colour: Colour::Jpeg(jpeg),
-        timestamp_ns,
-    })
-}
-
-/// Time of a frame, nanoseconds, at so many frames per second: numerator and denominator.
-pub(crate) fn time_at_rate(frame: usize, (numerator, denominator): (u64, u64)) -> i64 {
-    let seconds_e9 = frame as u128 * u128::from(denominator) * 1_000_000_000;
-    i64::try_from(seconds_e9 / u128::from(numerator)).unwrap_or(i64::MAX)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::Clock;
-
-    fn used_by(can_be_set_back: bool, times_ns: &[i64]) -> (Vec<i64>, Clock) {
-        let mut clock = Clock {
-            can_be_set_back,
-            ..Clock::default()
-        };
-        let used = times_ns.iter().map(|t| clock.increasing(*t)).collect();
-        (used, clock)
-    }
-
-    fn used(times_ns: &[i64]) -> (Vec<i64>, Clock) {
-        used_by(true, times_ns)
-    }
-
-    #[test]
-    fn frames_of_a_file_that_are_out_of_order_set_no_clock_back() {
-        let times = [
-            0,
-            33 * MS,
-            1100 * MS,
-            66 * MS,
-            1133 * MS,
-            99 * MS,
-            1166 * MS,
-        ];
-        let (times, clock) = used_by(false, &times);
-        let (first, last) = (times[..3].to_vec(), times[6]);
-        assert_eq!((first, last), (vec![0, 33 * MS, 1100 * MS], 1166 * MS));
-        assert!(times.is_sorted(), "{times:?}");
-        assert_eq!((clock.repaired, clock.jumps), (2, 0));
-    }
-
-    const MS: i64 = 1_000_000;
-
-    #[test]
-    fn times_that_are_repeated_or_swapped_are_put_right_behind() {
-        let (times, clock) = used(&[0, 33 * MS, 33 * MS, 20 * MS, 66 * MS]);
-        assert_eq!(times, [0, 33 * MS, 33 * MS + 1, 33 * MS + 2, 66 * MS]);
-        assert_eq!(clock.repaired, 2);
-        let fault = clock.fault().unwrap();
-        assert!(fault.starts_with("2 times do not"), "{fault}");
-        assert!(!fault.contains("set back"), "{fault}");
-        // what an editor rounds
-        let (_, clock) = used(&[0, 33 * MS, 33 * MS - 900, 66 * MS]);
-        assert_eq!((clock.repaired, clock.fault()), (1, None));
-    }
-
-    #[test]
-    fn a_clock_that_is_set_back_goes_on() {
-        let (times, clock) = used(&[9000 * MS, 9100 * MS, 100 * MS, 200 * MS, 0, 300 * MS]);
-        let expected = [9000, 9100, 9200, 9300, 9300, 9400].map(|t| t * MS);
-        assert_eq!(times[..4], expected[..4]);
-        assert_eq!((times[4], times[5]), (9300 * MS + 1, 9400 * MS));
-        let fault = clock.fault().unwrap();
-        assert!(
-            fault.contains("2 times do not") && fault.contains("back 1 times"),
-            "{fault}"
-        );
-        assert!(fault.contains("9.000 s"), "{fault}");
-        let (times, _) = used(&[i64::MAX, i64::MIN, i64::MAX]);
-        assert!(times.is_sorted(), "{times:?}");
-    }
 }

@@ -5,7 +5,7 @@
 //! stretched until pixels are square. The shorter side of a pixel sets the scale: nothing that the
 //! picture shows is lost.
 
-use crate::{Grey, MAX_PIXELS};
+use crate::frame::{Grey, MAX_PIXELS};
 
 /// Shapes within this of a square are rounded sizes: a row or a column of a small picture.
 const SQUARE_WITHIN: f64 = 0.01;
@@ -133,7 +133,7 @@ fn stretched_along(image: &Grey, height: usize) -> Grey {
 #[cfg(test)]
 mod tests {
     use super::PixelShape;
-    use crate::Grey;
+    use crate::frame::Grey;
 
     #[test]
     fn a_picture_is_stretched_along_the_shorter_side_of_its_pixels() {

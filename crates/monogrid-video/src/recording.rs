@@ -1,7 +1,9 @@
 //! Recordings of robots: the images of one topic.
 
+use crate::frame::VideoFrame;
 use crate::h264::PacketFrames;
-use crate::{Colour, Opened, VideoError, VideoFrame, stored_bytes};
+use crate::opened::{Opened, stored_bytes};
+use crate::{Colour, VideoError};
 use monogrid_bags::{Bag, BagError, TopicKind};
 use monogrid_datasets::PixelBudget;
 use monogrid_geometry::Camera;

@@ -69,7 +69,7 @@ impl Turn {
 #[cfg(test)]
 mod tests {
     use super::Turn;
-    use crate::Grey;
+    use crate::frame::Grey;
     use monogrid_geometry::Vec2;
     use monogrid_image::Image;
 

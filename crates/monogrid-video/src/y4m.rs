@@ -4,9 +4,10 @@
 //! from the end, and because the size in the header comes from outside.
 
 use crate::error::endless_header;
+use crate::frame::{Grey, MAX_PIXELS, VideoFrame, time_at_rate};
 use crate::pixels::PixelShape;
 use crate::turn::Turn;
-use crate::{Chroma, Colour, ColourSpace, Grey, MAX_PIXELS, VideoError, VideoFrame, time_at_rate};
+use crate::{Chroma, Colour, ColourSpace, VideoError};
 use std::io::{BufRead, Read};
 
 /// First bytes of every such stream.

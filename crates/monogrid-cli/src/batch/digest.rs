@@ -1,15 +1,14 @@
-//! What files hold: SHA-256 of their content, as `sha256sum` says it, and a quicker stamp of names,
-//! sizes and times.
+//! What files hold: SHA-256 of their content, and a quicker stamp of names, sizes and times.
 
 use super::outputs::Written;
+use super::sha256::{sha256_of, sha256_of_file};
 use super::task::Task;
-use hmac_sha256::Hash;
 use monogrid_app::output::{changed_ns, resolved};
 use monogrid_datasets::{Dataset, SourceOptions};
 use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
 use std::fs;
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// Folders in folders of a source that are looked into.
@@ -46,30 +45,6 @@ impl OutputRecord {
         let sha256 = sha256_of_file(path)?;
         Ok(Self { bytes, sha256 })
     }
-}
-
-/// SHA-256 of bytes, hexadecimal.
-pub fn sha256_of(bytes: &[u8]) -> String {
-    hexadecimal(&Hash::hash(bytes))
-}
-
-/// SHA-256 of a file, hexadecimal.
-pub fn sha256_of_file(path: &Path) -> io::Result<String> {
-    let mut file = fs::File::open(path)?;
-    let mut hash = Hash::new();
-    let mut buffer = vec![0; 1 << 18];
-    loop {
-        match file.read(&mut buffer) {
-            Ok(0) => return Ok(hexadecimal(&hash.finalize())),
-            Ok(count) => hash.update(&buffer[..count]),
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(error) => return Err(error),
-        }
-    }
-}
-
-fn hexadecimal(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// The files that a task of a batch that writes these reads: those of its source by their names in
@@ -168,18 +143,4 @@ pub fn read_outputs(folder: &Path) -> io::Result<Vec<(String, OutputRecord)>> {
     let of_file =
         |(name, path): (String, PathBuf)| Ok((name.replace('\\', "/"), OutputRecord::of(&path)?));
     files.into_iter().map(of_file).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn hashes_are_those_of_sha256sum() {
-        let known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
-        assert_eq!(sha256_of(b"abc"), known);
-        let dir = tempfile::tempdir().unwrap();
-        fs::write(dir.path().join("file"), "abc").unwrap();
-        assert_eq!(sha256_of_file(&dir.path().join("file")).unwrap(), known);
-    }
 }

@@ -1,6 +1,6 @@
 //! Options of `monogrid run` as lists say them: `KEY=VALUE`, or `KEY` for those without a value.
 
-use crate::cli::command;
+use crate::commands::runs::run;
 use monogrid_app::process::failure::Failure;
 use std::collections::BTreeSet;
 use std::sync::LazyLock;
@@ -53,10 +53,8 @@ pub fn parse_key(text: &str, place: &str) -> Result<Key, Failure> {
 
 /// The long names of the options of `monogrid run`.
 static OPTIONS_OF_RUN: LazyLock<BTreeSet<String>> = LazyLock::new(|| {
-    let run = command();
-    let options = run.find_subcommand("run").into_iter();
-    let options = options.flat_map(clap::Command::get_arguments);
-    let names = options.filter_map(clap::Arg::get_long);
+    let run = run::command();
+    let names = run.get_arguments().filter_map(clap::Arg::get_long);
     names.map(str::to_owned).collect()
 });
 

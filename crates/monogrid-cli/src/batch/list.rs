@@ -4,14 +4,18 @@
 //! alone: `name=NAME` and options of `monogrid run` as `KEY=VALUE` or `KEY`. Empty lines and lines
 //! that begin with `#` are left out.
 
-use super::keys::{Key, parse_key};
+use super::keys::{Key, joined, parse_key};
 use monogrid_app::input::video_source::is_video;
-use monogrid_app::output::Inputs;
+use monogrid_app::output::{Inputs, resolved};
 use monogrid_app::process::failure::{Classify, Failure};
 use monogrid_datasets::{Dataset, SourceOptions};
 use monogrid_video::is_recording;
+use std::collections::BTreeSet;
 use std::io::Read;
 use std::path::{Path, PathBuf};
+
+/// The option of `monogrid run` that names a file to be written.
+const WRITTEN: &str = "mcap";
 
 /// A recording as it was named.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -216,6 +220,25 @@ fn recordings_in(folder: &Path, out: &Path) -> Result<(Vec<Listed>, usize), Fail
         ..Listed::alone(path, &place)
     });
     Ok((listed.collect(), left_out))
+}
+
+/// Recordings without those that were only found in a folder and are outputs of this very batch.
+pub fn without_outputs(listed: &[Listed], of_all: &[Key]) -> Vec<Listed> {
+    let written: BTreeSet<PathBuf> = listed
+        .iter()
+        .flat_map(|listed| joined(of_all, &listed.keys))
+        .filter(|key| key.name == WRITTEN)
+        .filter_map(|key| key.value)
+        .map(|file| resolved(Path::new(&file)))
+        .collect();
+    let is_output = |one: &Listed| {
+        one.is_found && !written.is_empty() && written.contains(&resolved(&one.source))
+    };
+    listed
+        .iter()
+        .filter(|one| !is_output(one))
+        .cloned()
+        .collect()
 }
 
 #[cfg(test)]

@@ -22,5 +22,6 @@ pub mod outputs;
 pub mod page;
 pub mod record;
 pub mod schedule;
+pub mod sha256;
 pub mod task;
 pub mod work;

@@ -1,16 +1,11 @@
 //! Where tasks write beside their folders: no output is an input, and no two collide.
 
-use super::keys::{Key, joined};
-use super::list::Listed;
 use super::task::Task;
 use monogrid_app::output::resolved;
 use monogrid_app::process::failure::Failure;
 use monogrid_video::is_recording;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-
-/// The option of `monogrid run` that names a file to be written.
-const WRITTEN: &str = "mcap";
 
 /// All that a batch writes: its folder, and the files of its tasks.
 #[derive(Debug, Default)]
@@ -32,25 +27,6 @@ impl Written {
         let from = self.places.range(folder.to_owned()..);
         from.map_while(move |place| place.strip_prefix(folder).ok())
     }
-}
-
-/// Recordings without those that were only found in a folder and are outputs of this very batch.
-pub fn without_outputs(listed: &[Listed], of_all: &[Key]) -> Vec<Listed> {
-    let written: BTreeSet<PathBuf> = listed
-        .iter()
-        .flat_map(|listed| joined(of_all, &listed.keys))
-        .filter(|key| key.name == WRITTEN)
-        .filter_map(|key| key.value)
-        .map(|file| resolved(Path::new(&file)))
-        .collect();
-    let is_output = |one: &Listed| {
-        one.is_found && !written.is_empty() && written.contains(&resolved(&one.source))
-    };
-    listed
-        .iter()
-        .filter(|one| !is_output(one))
-        .cloned()
-        .collect()
 }
 
 /// Refuses outputs that collide with each other, with the folder of the batch or with something

@@ -106,7 +106,7 @@ impl TaskRecord {
         let lines: String = results
             .map(|(name, output)| format!("{}  {name}\n", output.sha256))
             .collect();
-        self.result_sha256 = Some(super::digest::sha256_of(lines.as_bytes()));
+        self.result_sha256 = Some(super::sha256::sha256_of(lines.as_bytes()));
         self.outputs = outputs.into_iter().collect();
     }
 

@@ -1,12 +1,11 @@
 //! A recording as a task: a name of its own, the arguments of its run, and the hash of its
 //! settings.
 
-use super::digest::sha256_of;
 use super::keys::{Key, joined};
-use super::list::{Listed, safe_name};
-use super::outputs::without_outputs;
-use crate::cli::{Cli, Command};
-use crate::commands::runs::run::{RunArgs, configuration, inputs_of_options};
+use super::list::{Listed, safe_name, without_outputs};
+use super::sha256::sha256_of;
+use crate::commands::runs::run::{self, RunArgs, configuration, inputs_of_options};
+use clap::FromArgMatches;
 use monogrid_app::config::RunConfig;
 use monogrid_app::process::failure::Failure;
 use std::collections::{BTreeMap, BTreeSet};
@@ -137,21 +136,17 @@ fn refuse_streams(source: &Path, place: &str) -> Result<(), Failure> {
 
 /// The options as `monogrid run` understands them.
 fn parsed(source: &Path, options: &[String], place: &str) -> Result<RunArgs, Failure> {
-    let mut arguments: Vec<OsString> = vec!["monogrid".into(), "run".into()];
+    let mut arguments: Vec<OsString> = vec!["run".into()];
     arguments.extend(options.iter().map(OsString::from));
     arguments.extend(["--".into(), source.into()]);
-    match Cli::parse(arguments) {
-        Ok(Cli {
-            command: Command::Run(args),
-        }) => Ok(*args),
-        Ok(_) => Err(Failure::running("a run was understood as another command")),
-        Err(error) => {
-            let text = error.to_string();
-            let said = text.lines().next().unwrap_or_default();
-            let said = said.strip_prefix("error: ").unwrap_or(said);
-            Err(Failure::input(format!("{place}: {said}")))
-        }
-    }
+    let parsed = run::command().try_get_matches_from(arguments);
+    let parsed = parsed.and_then(|found| RunArgs::from_arg_matches(&found));
+    parsed.map_err(|error| {
+        let text = error.to_string();
+        let said = text.lines().next().unwrap_or_default();
+        let said = said.strip_prefix("error: ").unwrap_or(said);
+        Failure::input(format!("{place}: {said}"))
+    })
 }
 
 fn settings_hash(config: Option<&RunConfig>) -> String {

@@ -20,3 +20,12 @@ pub fn left_out(model: &MeshModel, source: &Path) -> Option<String> {
         )
     })
 }
+
+/// `-1` after an option is its value.
+pub fn with_numbers(command: clap::Command) -> clap::Command {
+    let command = command.mut_args(|arg| match arg.get_action().takes_values() {
+        true => arg.allow_negative_numbers(true),
+        false => arg,
+    });
+    command.mut_subcommands(with_numbers)
+}

@@ -1,8 +1,7 @@
 //! `monogrid completions` and `monogrid man`: what shells and readers of manuals know about the
 //! command line.
 
-use crate::cli;
-use clap::Args;
+use clap::{Args, Command};
 use clap_complete::Shell;
 use clap_mangen::Man;
 use monogrid_app::output::{Inputs, OutputFolder};
@@ -27,18 +26,18 @@ pub struct ManArgs {
     pub force: bool,
 }
 
-/// Prints the script.
-pub fn completions(args: &CompletionsArgs) -> CommandResult {
+/// Prints the script for the command line of `program`.
+pub fn completions(args: &CompletionsArgs, mut program: Command) -> CommandResult {
     let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut cli::command(), "monogrid", &mut script);
+    clap_complete::generate(args.shell, &mut program, "monogrid", &mut script);
     print!("{}", String::from_utf8_lossy(&script));
     Ok(Outcome::Done)
 }
 
 /// Writes a page for the program and one for each command: `monogrid.1`, `monogrid-run.1`, ...
-pub fn man(args: &ManArgs) -> CommandResult {
+pub fn man(args: &ManArgs, program: Command) -> CommandResult {
     let folder = OutputFolder::replace(&args.out, args.force, &Inputs::default())?;
-    let mut program = cli::command().disable_help_subcommand(true);
+    let mut program = program.disable_help_subcommand(true);
     program.build();
     let mut waiting = vec![program];
     let mut count = 0;

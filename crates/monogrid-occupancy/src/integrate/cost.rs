@@ -1,7 +1,7 @@
 //! What a scan will cost, estimated from some of its measurements before anything is made for it.
 
 use crate::error::MapError;
-use crate::integrate::image::NARROWEST_SLOPES;
+use crate::integrate::image::range_image::NARROWEST_SLOPES;
 use crate::integrate::rays::beam::total_sigma;
 use crate::integrate::{IntegrationConfig, IntegrationRule};
 use crate::key::{BRICK_CELLS, BRICK_EDGE};

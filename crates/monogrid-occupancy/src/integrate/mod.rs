@@ -14,6 +14,7 @@ mod cost;
 pub(crate) mod fused;
 pub(crate) mod image;
 pub(crate) mod kernel;
+pub(crate) mod octants;
 pub(crate) mod parallel;
 pub(crate) mod rays;
 
@@ -21,6 +22,7 @@ pub use self::config::{IntegrationConfig, IntegrationReport, IntegrationRule};
 
 use self::cost::affordable;
 use crate::error::MapError;
+use crate::key::BrickFilter;
 use crate::map::OccupancyMap;
 use crate::scan::Scan;
 use crate::sensor::SensorModel;
@@ -119,7 +121,7 @@ pub(crate) fn integrate_where(
     scan: &Scan,
     config: &IntegrationConfig,
     threads: usize,
-    only: rays::BrickFilter,
+    only: BrickFilter,
 ) -> Result<IntegrationReport, MapError> {
     if config.model != SensorModel::None && only.is_none() {
         affordable(map, scan, config)?;

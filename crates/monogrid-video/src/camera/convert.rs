@@ -1,7 +1,8 @@
 //! From the bytes of a camera's buffer to a grey image and its colour.
 
+use crate::frame::{Grey, MAX_PIXELS};
 use crate::turn::Turn;
-use crate::{Chroma, Colour, ColourSpace, Grey, MAX_PIXELS};
+use crate::{Chroma, Colour, ColourSpace};
 use monogrid_datasets::decode_jpeg_luma;
 use std::path::Path;
 

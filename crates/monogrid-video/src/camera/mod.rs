@@ -6,7 +6,8 @@ mod v4l2;
 #[cfg(any(target_os = "linux", test))]
 mod convert;
 
-use crate::{Opened, VideoError};
+use crate::VideoError;
+use crate::opened::Opened;
 use std::path::{Path, PathBuf};
 
 /// A camera that this computer has.

@@ -2,7 +2,9 @@
 
 use super::CameraInfo;
 use super::convert::{BufferLayout, FORMATS, PixelFormat, decoded};
-use crate::{Opened, VideoError, VideoFrame};
+use crate::VideoError;
+use crate::frame::VideoFrame;
+use crate::opened::Opened;
 use moq_v4l::buffer::Type;
 use moq_v4l::control::{Control, Value};
 use moq_v4l::framesize::FrameSizeEnum;

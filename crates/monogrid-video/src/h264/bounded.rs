@@ -1,6 +1,7 @@
 //! A decoder that takes no more memory and time than what its stream stores is worth.
 
-use crate::{MIN_FRAME_PIXELS, VideoError};
+use crate::VideoError;
+use crate::frame::MIN_FRAME_PIXELS;
 use monogrid_datasets::PixelBudget;
 use rust_h264::decoder::{Frame, OrderedDecoder};
 use rust_h264::nal::{NalUnit, NalUnitType, SpsInfo, parse_sps_info};

@@ -2,8 +2,9 @@
 
 use super::bounded::BoundedDecoder;
 use super::{colour_space, incomplete, may_be_interlaced, shown};
+use crate::frame::VideoFrame;
 use crate::turn::Turn;
-use crate::{ColourSpace, VideoError, VideoFrame};
+use crate::{ColourSpace, VideoError};
 use monogrid_bags::{Coded, Packets};
 use monogrid_datasets::PixelBudget;
 use rust_h264::nal::parse_annex_b;

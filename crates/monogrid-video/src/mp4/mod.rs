@@ -4,9 +4,10 @@ mod samples;
 
 pub(crate) use samples::{Sample, Samples};
 
+use crate::VideoError;
+use crate::opened::Elsewhere;
 use crate::pixels::PixelShape;
 use crate::turn::Turn;
-use crate::{Elsewhere, VideoError};
 use shiguredo_mp4::boxes::{
     AvccBox, ElstBox, HdlrBox, MvhdBox, SampleEntry, TkhdBox, TrakBox, UnknownBox,
 };

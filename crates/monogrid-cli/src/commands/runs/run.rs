@@ -1,7 +1,7 @@
 //! `monogrid run`: what the command line asks for, put together and checked before anything is
 //! computed.
 
-use crate::commands::{use_threads, warn};
+use crate::commands::{use_threads, warn, with_numbers};
 use clap::{Args, ValueEnum};
 use monogrid_app::args::{JsonArg, MappingArgs, Profile, SourceArgs, memory, positive};
 use monogrid_app::camera::refine::refine;
@@ -151,6 +151,11 @@ pub struct RunArgs {
         conflicts_with = "localise_only", help_heading = "Output"
     )]
     pub submaps: Option<u16>,
+}
+
+/// The command `run` alone, for options that stand in a list.
+pub fn command() -> clap::Command {
+    with_numbers(RunArgs::augment_args(clap::Command::new("run")))
 }
 
 /// Where the depth of frames comes from.

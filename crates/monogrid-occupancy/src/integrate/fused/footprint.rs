@@ -1,12 +1,14 @@
 //! The updates of the cells of a brick by the rule `fused`, and bounds of those of a whole cube.
 
-use crate::integrate::fused::octants::{Cube, Octants, View};
+use crate::integrate::fused::octants::{Cube, View};
+use crate::integrate::image::RangeImages;
+use crate::integrate::image::range_image::{HOLE, RangeImage};
 use crate::integrate::image::windows::Windows;
-use crate::integrate::image::{HOLE, RangeImage, RangeImages};
 use crate::integrate::kernel::kernel_image::KernelImage;
-use crate::integrate::kernel::{
+use crate::integrate::kernel::scalar::{
     FlatTables, Kernel, Placed, Weights, bits_of, cells_of, evidence, index_of,
 };
+use crate::integrate::octants::Octants;
 use crate::key::BRICK_CELLS;
 use crate::sensor::table::EvidenceTable;
 

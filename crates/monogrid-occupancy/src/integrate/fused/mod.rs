@@ -24,9 +24,9 @@ use crate::integrate::fused::search::{Search, Task, Update};
 use crate::integrate::fused::writer::Writer;
 use crate::integrate::image::RangeImages;
 use crate::integrate::parallel::for_each;
-use crate::integrate::rays::BrickFilter;
 use crate::integrate::rays::beam::origin_in_cells;
 use crate::integrate::{IntegrationConfig, IntegrationReport};
+use crate::key::BrickFilter;
 use crate::key::BrickKey;
 use crate::map::OccupancyMap;
 use crate::scan::Scan;
@@ -252,7 +252,7 @@ pub(crate) fn bricks_seen(
 mod tests {
     use super::*;
     use crate::integrate::fused::search::relative_center;
-    use crate::integrate::kernel::cells_of;
+    use crate::integrate::kernel::scalar::cells_of;
     use crate::map::MapConfig;
     use crate::scan::{PointScan, PoseSigma, ScanData, Similarity};
     use crate::test_random::Random;

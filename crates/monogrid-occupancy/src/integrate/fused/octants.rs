@@ -3,33 +3,11 @@
 //! The loops over eight lanes here define the result; `octants_avx2` computes the same bits with a
 //! vector.
 
-use crate::integrate::image::RangeImage;
-use crate::integrate::image::windows::{Windows, higher, lower};
-use crate::integrate::kernel::{EIGHT_SAMPLES, FOUR_SAMPLES, SINGLE_SAMPLE_PX};
-
-/// Octants of a cube as bits: bit `x | y << 1 | z << 2`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Octants {
-    /// Those that can get anything at all.
-    pub touched: u8,
-    /// Those whose cells all get the same free update.
-    pub free: u8,
-    /// Those whose cells get the free update of some measurements or nothing, the free ones
-    /// included.
-    pub clear: u8,
-}
-
-impl Octants {
-    /// One of them.
-    pub(crate) fn only(self, octant: u8) -> Self {
-        let bit = 1 << octant;
-        Self {
-            touched: self.touched & bit,
-            free: self.free & bit,
-            clear: self.clear & bit,
-        }
-    }
-}
+use crate::integrate::image::extremes::{higher, lower};
+use crate::integrate::image::range_image::RangeImage;
+use crate::integrate::image::windows::Windows;
+use crate::integrate::kernel::scalar::{EIGHT_SAMPLES, FOUR_SAMPLES, SINGLE_SAMPLE_PX};
+use crate::integrate::octants::Octants;
 
 /// A cube in the world's axes, relative to the sensor.
 #[derive(Clone, Copy, Debug)]

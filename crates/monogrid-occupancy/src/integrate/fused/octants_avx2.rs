@@ -10,9 +10,10 @@
 use std::arch::x86_64::*;
 
 use crate::integrate::fused::octants::{
-    Cube, Octants, SLACK_CELLS, SLACK_PX, SLACK_RANGE, View, WIDEST_SAMPLE,
+    Cube, SLACK_CELLS, SLACK_PX, SLACK_RANGE, View, WIDEST_SAMPLE,
 };
-use crate::integrate::kernel::SINGLE_SAMPLE_PX;
+use crate::integrate::kernel::scalar::SINGLE_SAMPLE_PX;
+use crate::integrate::octants::Octants;
 
 /// Judges the eight halves of a cube, or `None` if this processor has no AVX2.
 #[inline]

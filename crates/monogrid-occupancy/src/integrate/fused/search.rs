@@ -4,9 +4,10 @@
 //! their cells get.
 
 use crate::integrate::fused::footprint::Footprints;
-use crate::integrate::fused::octants::{Cube, Octants};
+use crate::integrate::fused::octants::Cube;
+use crate::integrate::octants::Octants;
 use crate::integrate::parallel::for_each;
-use crate::integrate::rays::BrickFilter;
+use crate::key::BrickFilter;
 use crate::key::{BRICK_EDGE, BrickKey};
 use crate::storage::{SHARDS, hash, shard_of};
 

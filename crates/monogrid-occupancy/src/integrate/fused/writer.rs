@@ -4,7 +4,7 @@ use crate::evidence::UpdateRule;
 use crate::integrate::fused::footprint::Footprints;
 use crate::integrate::fused::octants::Cube;
 use crate::integrate::fused::search::{Update, relative_center};
-use crate::integrate::kernel::Weights;
+use crate::integrate::kernel::scalar::Weights;
 use crate::key::{BRICK_CELLS, BrickKey};
 use crate::storage::{BrickRef, Shard, hash};
 

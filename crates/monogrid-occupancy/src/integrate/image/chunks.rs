@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 
 use crate::for_avx2::for_avx2;
 use crate::integrate::IntegrationConfig;
-use crate::integrate::image::windows::{higher, lower};
+use crate::integrate::image::extremes::{higher, lower};
 use crate::integrate::rays::beam::total_sigma;
 use crate::scan::{PointScan, Scan, ScanData};
 

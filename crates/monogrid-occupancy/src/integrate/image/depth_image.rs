@@ -2,7 +2,7 @@
 //! measurements.
 
 use crate::integrate::image::chunks::{RangeModel, WIDEST_SLOPE};
-use crate::integrate::image::{Filling, PIXELS_PER_CELL, RangeImage};
+use crate::integrate::image::range_image::{Filling, PIXELS_PER_CELL, RangeImage};
 use crate::scan::{DepthImage, Scan, ScanData};
 use crate::sensor::table::TableSet;
 

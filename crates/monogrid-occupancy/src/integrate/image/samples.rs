@@ -6,7 +6,9 @@
 
 use crate::integrate::IntegrationConfig;
 use crate::integrate::image::chunks::{Chunk, Extent, RangeModel, Sample, extent_of};
-use crate::integrate::image::{FORWARD, Filling, NARROWEST_SLOPES, PIXELS_PER_CELL, RangeImage};
+use crate::integrate::image::range_image::{
+    FORWARD, Filling, NARROWEST_SLOPES, PIXELS_PER_CELL, RangeImage,
+};
 use crate::integrate::parallel::for_each;
 use crate::scan::{Scan, ScanData};
 use crate::sensor::table::TableSet;

@@ -16,7 +16,7 @@
 //! The inverse depth of a plane is affine in the slopes, w = a u + b v + c, and (a, b, c) is its
 //! normal: a x + b y + c z = 1. At the range r, cos(theta) = 1 / (r |(a, b, c)|).
 
-use crate::integrate::image::{HOLE, ONE_SURFACE, RangeImage};
+use crate::integrate::image::range_image::{HOLE, ONE_SURFACE, RangeImage};
 use crate::sensor::table::TableSet;
 
 /// Pixels to each side that the plane of one is fitted to.

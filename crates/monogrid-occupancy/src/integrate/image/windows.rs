@@ -5,7 +5,8 @@
 //! quarter of their edge for larger ones. Any box of pixels lies in one window little larger than
 //! itself, so one look tells what a block of cells can get from all pixels that it covers.
 
-use crate::integrate::image::{HOLE, RangeImage};
+use crate::integrate::image::extremes::{higher, lower};
+use crate::integrate::image::range_image::{HOLE, RangeImage};
 use crate::sensor::table::TableSet;
 
 /// Bounds of all windows of an image, level by level.
@@ -231,19 +232,6 @@ struct Reach {
     /// Free space counts up to here at most.
     free_range: f32,
     max_range: f32,
-}
-
-/// The smaller of two, as the vector instructions choose it: the second where they cannot be
-/// compared.
-#[inline]
-pub(crate) fn lower(a: f32, b: f32) -> f32 {
-    if a < b { a } else { b }
-}
-
-/// The larger of two, likewise.
-#[inline]
-pub(crate) fn higher(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
 }
 
 /// How the windows of a level are made of those of the level before.

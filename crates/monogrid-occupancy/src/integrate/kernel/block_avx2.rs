@@ -3,7 +3,7 @@
 
 use std::arch::x86_64::*;
 
-use crate::integrate::kernel::{
+use crate::integrate::kernel::scalar::{
     FOUR_SAMPLES_PX, OCTANT_EDGE, Placed, SINGLE_SAMPLE_PX, cell_in_brick, index_of,
 };
 use crate::key::{BRICK_CELLS, BRICK_EDGE};

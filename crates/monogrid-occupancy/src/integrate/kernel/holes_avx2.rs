@@ -13,7 +13,9 @@ use std::arch::x86_64::*;
 use crate::integrate::kernel::block_avx2::{Block, VECTORS};
 use crate::integrate::kernel::kernel_avx2::{Lanes, moved};
 use crate::integrate::kernel::kernel_image::Bits;
-use crate::integrate::kernel::{EIGHT_SAMPLES, FOUR_SAMPLES, FOUR_SAMPLES_PX, evidence, sum};
+use crate::integrate::kernel::scalar::{
+    EIGHT_SAMPLES, FOUR_SAMPLES, FOUR_SAMPLES_PX, evidence, sum,
+};
 
 /// Columns of a window: as many bits as are left of 32 that begin at a byte.
 const COLUMNS: i32 = 25;

@@ -15,12 +15,12 @@
 
 use std::arch::x86_64::*;
 
-use crate::integrate::fused::octants::Octants;
 use crate::integrate::kernel::block_avx2::{Block, Samples, VECTORS, put_octant, samples};
-use crate::integrate::kernel::{
+use crate::integrate::kernel::scalar::{
     EIGHT_SAMPLES, FOUR_SAMPLES, FOUR_SAMPLES_PX, Kernel, Placed, SINGLE_SAMPLE_PX, TableRow,
     Weights, bits_of, sum,
 };
+use crate::integrate::octants::Octants;
 use crate::key::BRICK_CELLS;
 
 /// Evidence for the touched octants of a brick; `false`, and nothing done, if this processor has no
@@ -435,8 +435,8 @@ fn scaled(sum: __m256i, factor: __m256) -> __m256i {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::integrate::kernel::cells_of;
-    use crate::integrate::kernel::tests::random_case;
+    use crate::integrate::kernel::scalar::cells_of;
+    use crate::integrate::kernel::scalar::tests::random_case;
 
     /// The octants of a brick of which no cell is as far as anything measured.
     fn clear_octants(brick: &Placed) -> u8 {

@@ -8,9 +8,9 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
-use crate::integrate::rays::BrickFilter;
 use crate::integrate::rays::beam::{Beams, Beginnings, Measured};
 use crate::integrate::rays::visits::{ShardWriter, Visits};
+use crate::key::BrickFilter;
 use crate::map::OccupancyMap;
 use crate::storage::Shard;
 

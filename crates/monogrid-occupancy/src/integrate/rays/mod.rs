@@ -18,12 +18,9 @@ use crate::integrate::rays::batches::Walk;
 use crate::integrate::rays::beam::{Beams, Beginnings};
 use crate::integrate::rays::saturated::BeamTiles;
 use crate::integrate::{IntegrationConfig, IntegrationReport};
-use crate::key::{BRICK_EDGE, BrickKey};
+use crate::key::{BRICK_EDGE, BrickFilter, BrickKey};
 use crate::map::OccupancyMap;
 use crate::scan::Scan;
-
-/// Bricks to which an integration is restricted, sorted by packed key.
-pub(crate) type BrickFilter<'a> = Option<&'a [u64]>;
 
 /// The beams of a scan and their directions; does not depend on what the map holds.
 pub(crate) struct Prepared {

@@ -6,9 +6,9 @@
 //! that is saturated free ends with a look into the directory.
 
 use crate::evidence::UpdateRule;
-use crate::integrate::rays::BrickFilter;
 use crate::integrate::rays::beam::{Beam, Beams, Beginnings, Measured};
 use crate::integrate::rays::ray::{CellVisitor, TIME_BITS};
+use crate::key::BrickFilter;
 use crate::key::{BRICK_CELLS, BrickKey};
 use crate::sensor::table::{EvidenceTable, TableSet};
 use crate::storage::{BrickRef, SHARDS, Shard, SlotIndex, hash, shard_of};
