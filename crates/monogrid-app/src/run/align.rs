@@ -107,15 +107,10 @@ pub struct UpSummary {
 }
 
 impl UpSummary {
-    fn new(from: &'static str, confidence: Option<f64>, has_floor: bool) -> Self {
-        let certain = if has_floor {
-            MIN_UP_CONFIDENCE
-        } else {
-            CERTAIN
-        };
+    fn new(from: &'static str, confidence: Option<f64>) -> Self {
         let is_certain = match (from, confidence) {
             ("first-camera", _) => false,
-            (_, Some(confidence)) => confidence >= certain,
+            (_, Some(confidence)) => confidence >= CERTAIN,
             (_, None) => true,
         };
         Self {
@@ -124,15 +119,9 @@ impl UpSummary {
             is_certain,
         }
     }
-
-    /// The scene was not asked.
-    fn known(from: &'static str) -> Self {
-        Self::new(from, None, false)
-    }
 }
 
-/// Confidence of the scene from which up is called certain where no floor was found: wrong ones had
-/// up to 0.46. Through a floor nothing is seen, which is seldom so of what is not level.
+/// Confidence of the scene from which up is called certain: wrong ones had up to 0.46.
 const CERTAIN: f64 = 0.5;
 
 /// What was found out about the floor, as `summary.json` says it.
@@ -190,7 +179,7 @@ impl Up {
         let mut known = |up: &Vec3, said, from| {
             let scene = scene();
             let floor = floor_below(&scene.views, up);
-            level(up, floor.as_ref(), said, UpSummary::known(from))
+            level(up, floor.as_ref(), said, from)
         };
         match (self, sensed.up_in_world) {
             (Self::FirstCamera, _) => first_camera(),
@@ -200,19 +189,18 @@ impl Up {
                 let scene = scene();
                 let found = upright(&scene.views);
                 let confidence = found.as_ref().map_or(0.0, |found| found.confidence);
-                match found {
+                let mut frame = match found {
                     Some(found) if confidence >= MIN_UP_CONFIDENCE => {
-                        let floor = found.floor.as_ref();
-                        let has_floor = floor.is_some_and(Floor::is_floor);
-                        let summary = UpSummary::new("scene", Some(confidence), has_floor);
-                        let said = match summary.is_certain {
+                        let said = match confidence >= CERTAIN {
                             true => "as the scene says",
                             false => "as the scene seems to say (uncertain)",
                         };
-                        level(&found.up_in_world, floor, said, summary)
+                        level(&found.up_in_world, found.floor.as_ref(), said, "scene")
                     }
-                    _ => uncertain(confidence),
-                }
+                    _ => uncertain(),
+                };
+                frame.up = UpSummary::new(frame.up.from, Some(confidence));
+                frame
             }
         }
     }
@@ -221,23 +209,21 @@ impl Up {
 /// The frame of unaligned results where the scene has no say, or is not sure.
 fn first_camera() -> MapFrame {
     let description = "z up as the first camera was held, x ahead, origin at the first keyframe";
-    MapFrame::new(
-        z_up_from_camera_world(),
-        description,
-        UpSummary::known("first-camera"),
-    )
+    MapFrame::new(z_up_from_camera_world(), description, "first-camera")
 }
 
 /// The same, because the scene is not sure.
-fn uncertain(confidence: f64) -> MapFrame {
-    let description =
-        "z up uncertain, as the first camera was held, x ahead, origin at the first keyframe";
-    let up = UpSummary::new("first-camera", Some(confidence), false);
-    MapFrame::new(z_up_from_camera_world(), description, up)
+fn uncertain() -> MapFrame {
+    MapFrame {
+        description:
+            "z up uncertain, as the first camera was held, x ahead, origin at the first keyframe"
+                .to_owned(),
+        ..first_camera()
+    }
 }
 
 /// The frame with the floor, where there is one, at z = 0.
-fn level(up_in_world: &Vec3, floor: Option<&Floor>, said: &str, up: UpSummary) -> MapFrame {
+fn level(up_in_world: &Vec3, floor: Option<&Floor>, said: &str, from: &'static str) -> MapFrame {
     let origin = match floor {
         Some(floor) if floor.is_floor() => "z = 0 at the floor, below the first keyframe",
         Some(_) => {
@@ -258,7 +244,7 @@ fn level(up_in_world: &Vec3, floor: Option<&Floor>, said: &str, up: UpSummary) -
     MapFrame {
         floor: summary(true),
         level_surface: summary(false),
-        ..MapFrame::new(level_from_world(up_in_world, floor), description, up)
+        ..MapFrame::new(level_from_world(up_in_world, floor), description, from)
     }
 }
 
@@ -325,7 +311,7 @@ impl Align {
     ) -> (MapFrame, Option<String>) {
         let by_reference = |map_from_world, description| MapFrame {
             is_aligned: true,
-            ..MapFrame::new(map_from_world, description, UpSummary::known("reference"))
+            ..MapFrame::new(map_from_world, description, "reference")
         };
         match self {
             Self::Level(up) => (up.frame(sensed, scene), None),
@@ -335,12 +321,12 @@ impl Align {
                 is_metric,
                 ground,
             } => {
-                let up = UpSummary::new("earlier", ground.confidence, ground.floor.is_some());
                 let frame = MapFrame {
                     is_aligned: *is_metric,
+                    up: UpSummary::new("earlier", ground.confidence),
                     floor: ground.floor,
                     level_surface: ground.level_surface,
-                    ..MapFrame::new(*map_from_world, description, up)
+                    ..MapFrame::new(*map_from_world, description, "earlier")
                 };
                 (frame, None)
             }
@@ -372,14 +358,14 @@ impl Align {
 }
 
 impl MapFrame {
-    /// A frame that does not fix the scale.
-    fn new(map_from_world: Sim3, description: impl Into<String>, up: UpSummary) -> Self {
+    /// A frame that does not fix the scale, with what `summary.json` says of where its up is from.
+    fn new(map_from_world: Sim3, description: impl Into<String>, from: &'static str) -> Self {
         Self {
             map_from_world,
             description: description.into(),
             is_aligned: false,
             fit: None,
-            up,
+            up: UpSummary::new(from, None),
             floor: None,
             level_surface: None,
         }
@@ -455,14 +441,7 @@ mod tests {
             share: 0.5,
             below,
         };
-        let frame = |below: f64| {
-            level(
-                &-Vec3::y(),
-                Some(&surface(below)),
-                "as given",
-                UpSummary::known("given"),
-            )
-        };
+        let frame = |below: f64| level(&-Vec3::y(), Some(&surface(below)), "as given", "given");
         let (floor, table) = (frame(0.0005), frame(0.02));
         assert_eq!(floor.floor.map(|floor| floor.camera_height), Some(0.7));
         assert_eq!(floor.level_surface, None);
@@ -482,15 +461,11 @@ mod tests {
 
     #[test]
     fn up_is_certain_where_somebody_knows_it() {
-        let is_certain = |from, confidence| UpSummary::new(from, confidence, false).is_certain;
+        let is_certain = |from, confidence| UpSummary::new(from, confidence).is_certain;
         assert!(is_certain("imu", None) && is_certain("given", None));
         assert!(is_certain("scene", Some(0.6)) && !is_certain("scene", Some(0.46)));
         assert!(!is_certain("first-camera", Some(0.1)) && !is_certain("first-camera", None));
         assert!(is_certain("earlier", Some(0.6)) && !is_certain("earlier", Some(0.3)));
-        // a floor is evidence too, of a guess that there is
-        let with_floor = |from, confidence| UpSummary::new(from, confidence, true).is_certain;
-        assert!(with_floor("scene", Some(0.2)) && !with_floor("scene", Some(0.19)));
-        assert!(!with_floor("first-camera", Some(0.3)));
     }
 
     #[test]
