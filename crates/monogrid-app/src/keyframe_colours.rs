@@ -10,6 +10,7 @@ use monogrid_pipeline::Preparation;
 use monogrid_report::colours::{ColourImage, MAX_PIXELS};
 use monogrid_slam::Keyframe;
 use monogrid_video::Colour;
+use monogrid_worlds::{Renderer, SynthSequence, Tint};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -22,6 +23,8 @@ const QUALITY: u8 = 88;
 pub struct ColourSource {
     /// Those of image files, which are read once more; none of a video.
     files: Vec<FrameEntry>,
+    /// A built-in world, and the camera of the working images.
+    rendered: Option<Arc<(SynthSequence, Renderer)>>,
     /// What these use of 16 bits.
     levels: Levels,
     preparation: Preparation,
@@ -30,25 +33,39 @@ pub struct ColourSource {
 }
 
 impl ColourSource {
-    /// Image files and videos have colour; built-in worlds are grey.
-    pub fn of(input: &Input) -> Option<Self> {
+    /// What the images of an input are asked for.
+    pub fn of(input: &Input) -> Self {
         let files = match &input.images {
             Images::Files(_) => input.frames.clone(),
-            Images::Video(_) => Vec::new(),
-            Images::Rendered(_) => return None,
+            Images::Video(_) | Images::Rendered(_) => Vec::new(),
         };
-        Some(Self {
+        let rendered = match &input.images {
+            Images::Rendered(sequence) => {
+                let camera = *input.preparation.camera();
+                let renderer = Renderer::new(&camera, 1.0);
+                Some(Arc::new((sequence.as_ref().clone(), renderer)))
+            }
+            Images::Files(_) | Images::Video(_) => None,
+        };
+        Self {
             files,
+            rendered,
             levels: input.reading.levels,
             preparation: input.preparation.clone(),
             kept: Arc::default(),
-        })
+        }
     }
 
     /// The working image of a keyframe in colour, as JPEG; `None` where it is grey, or cannot be
     /// read a second time. To be asked for once.
     pub fn keyframe(&self, keyframe: &Keyframe) -> Option<Vec<u8>> {
         let frame = keyframe.frame_index;
+        if let Some(rendered) = &self.rendered {
+            let (sequence, renderer) = rendered.as_ref();
+            let tints = sequence.tints_through(renderer, frame)?;
+            let image = in_tints(&keyframe.image, &tints)?;
+            return Some(encode_jpeg_rgb(&image, QUALITY));
+        }
         let kept = self.kept.take(frame);
         let found = self.files.binary_search_by_key(&frame, |file| file.index);
         let image = match found {
@@ -93,5 +110,46 @@ impl ColourSource {
             Some(rectification) => rectification.apply_rgb(&undistorted).ok(),
             None => Some(undistorted),
         }
+    }
+}
+
+/// A grey image in the colours of what it shows; `None` where their sizes differ.
+fn in_tints(grey: &Image<u8>, tints: &Image<Tint>) -> Option<ColourImage> {
+    let (width, height) = (grey.width(), grey.height());
+    ((tints.width(), tints.height()) == (width, height)).then(|| {
+        Image::from_fn(width, height, |x, y| {
+            let level = f32::from(grey.at(x, y));
+            tints.at(x, y).map(|share| (level * share).round() as u8)
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use monogrid_geometry::{Camera, Distortion};
+
+    #[test]
+    fn a_built_in_room_has_colours_that_do_not_change_its_grey() {
+        let sequence = SynthSequence::small_demo().unwrap();
+        let camera = *sequence.camera();
+        let camera = Camera::try_new(320, 240, camera.pinhole, Distortion::None).unwrap();
+        let tints = sequence.tints_through(&Renderer::new(&camera, 1.0), 30);
+        let grey = sequence.frame(30).unwrap().image.map(|value| value as u8);
+        let image = in_tints(&grey, &tints.unwrap()).unwrap();
+        let pixels = image.as_slice().iter().zip(grey.as_slice());
+        let (mut coloured, mut same) = (0, 0);
+        for ([r, g, b], grey) in pixels {
+            let [r, g, b] = [*r, *g, *b].map(f32::from);
+            let luma = 0.299 * r + 0.587 * g + 0.114 * b;
+            same += usize::from((luma - f32::from(*grey)).abs() < 2.0);
+            coloured += usize::from(r.max(g).max(b) > 1.2 * r.min(g).min(b));
+        }
+        let all = grey.as_slice().len();
+        // a channel that is full cannot be brighter
+        assert!(same > all * 9 / 10, "{same} of {all}");
+        assert!(coloured > all / 3, "{coloured} of {all}");
+        let small = Image::filled(2, 2, 0);
+        assert!(in_tints(&small, &Image::filled(3, 2, [1.0; 3])).is_none());
     }
 }

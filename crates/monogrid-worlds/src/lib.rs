@@ -34,6 +34,7 @@ pub use lighting::LightingConfig;
 pub use mesh::{MeshLighting, MeshModel, read_ply};
 pub use path::{CameraPath, Carrier, PathError, Waypoint, look_at};
 pub use render::{Mover, Rendered, Renderer};
+pub use scene::Tint;
 pub use sequence::{DEMO_FRAMES, SynthConfig, SynthError, SynthFrame, SynthSequence};
 pub use shapes::BoxFaces;
 pub use texture::Texture;

@@ -5,11 +5,12 @@
 
 use super::bvh::P3;
 use super::packet::{Packet, set_lane};
+use super::scene::{GREY, Tint};
 use super::texture::between;
 use super::world::World;
 use monogrid_geometry::nalgebra::Matrix3;
 use monogrid_geometry::{Camera, Se3, Vec2, Vec3};
-use monogrid_image::GrayImage;
+use monogrid_image::{GrayImage, Image};
 use rayon::prelude::*;
 
 /// Samples per pixel and their offsets from its centre, px: a grid of 2x2, rotated so that edges
@@ -113,20 +114,38 @@ impl Renderer {
     #[must_use]
     pub fn depth(&self, world: &World, movers: &[Mover], poses: &[Se3]) -> GrayImage {
         self.image(movers, poses, RAYS, |view, x, y, pixels| {
-            self.measure_pixels(world, view, x, y, pixels);
+            self.look_up_pixels(world, view, [x, y], pixels, |nearest| {
+                nearest.map_or(f32::NAN, |(world, origin, direction, triangle)| {
+                    exact_depth(world, origin, &direction, triangle)
+                })
+            });
+        })
+    }
+
+    /// Colour of what the ray through the centre of each pixel meets, as shares of its grey;
+    /// `poses` as in [`Self::radiance`].
+    #[must_use]
+    pub fn tints(&self, world: &World, movers: &[Mover], poses: &[Se3]) -> Image<Tint> {
+        self.image(movers, poses, RAYS, |view, x, y, pixels| {
+            self.look_up_pixels(world, view, [x, y], pixels, |nearest| {
+                nearest.map_or(GREY, |(world, _, _, triangle)| {
+                    let material = world.shading[triangle as usize].material;
+                    world.materials[material as usize].tint
+                })
+            });
         })
     }
 
     /// An image that is drawn so many neighbouring pixels of a row at a time, of which the first is
     /// at (x, y).
-    fn image(
+    fn image<T: Copy + Default + Send>(
         &self,
         movers: &[Mover],
         poses: &[Se3],
         count: usize,
-        draw: impl Fn(&View, usize, usize, &mut [f32]) + Sync,
-    ) -> GrayImage {
-        let mut image = GrayImage::filled(self.camera.width, self.camera.height, 0.0);
+        draw: impl Fn(&View, usize, usize, &mut [T]) + Sync,
+    ) -> Image<T> {
+        let mut image = Image::filled(self.camera.width, self.camera.height, T::default());
         let rows = image.as_mut_slice().par_chunks_mut(self.camera.width);
         rows.enumerate().for_each(|(y, row)| {
             let pose = poses.get(y).or(poses.first()).copied();
@@ -191,8 +210,16 @@ impl Renderer {
         surroundings.radiance(&hit, footprint_m) * surroundings.exposure
     }
 
-    /// Depth of up to sixteen neighbouring pixels of a row.
-    fn measure_pixels(&self, world: &World, view: &View, x: usize, y: usize, out: &mut [f32]) {
+    /// Up to sixteen neighbouring pixels of a row by what their centres show: its world, the
+    /// camera's place in it, the direction of the ray, and the triangle.
+    fn look_up_pixels<T>(
+        &self,
+        world: &World,
+        view: &View,
+        [x, y]: [usize; 2],
+        out: &mut [T],
+        value_of: impl Fn(Option<(&World, &Vec3, P3, u32)>) -> T,
+    ) {
         let mut direction = [[0.0f32; RAYS]; 3];
         for lane in 0..RAYS {
             let column = (x + lane).min(self.camera.width - 1);
@@ -208,9 +235,9 @@ impl Renderer {
                 .chain(others)
                 .filter_map(|(world, rays, origin)| Some((rays.hit(lane)?, world, rays, origin)))
                 .min_by(|a, b| a.0.t.total_cmp(&b.0.t));
-            *value = nearest.map_or(f32::NAN, |(hit, world, rays, origin)| {
-                exact_depth(world, origin, &rays.direction(lane), hit.triangle)
-            });
+            *value = value_of(nearest.map(|(hit, world, rays, origin)| {
+                (world, origin, rays.direction(lane), hit.triangle)
+            }));
         }
     }
 

@@ -31,7 +31,16 @@ pub struct Material {
     /// Radiance that it shows by itself (a lit lamp, a screen, the sky), times its reflectance;
     /// 0 for everything else. Such surfaces are shown without shading.
     pub emission: f32,
+    /// Red, green and blue of its colour, as shares of its grey.
+    pub tint: Tint,
 }
+
+/// Red, green and blue of a colour, as shares of its grey: what it looks like in a grey picture
+/// does not depend on it.
+pub type Tint = [f32; 3];
+
+/// Grey.
+pub const GREY: Tint = [1.0; 3];
 
 impl Material {
     /// A surface of one tone.
@@ -41,6 +50,7 @@ impl Material {
             albedo,
             texture: None,
             emission: 0.0,
+            tint: GREY,
         }
     }
 
@@ -184,6 +194,12 @@ impl Scene {
     /// Adds a material that is covered with one picture.
     pub fn fitted(&mut self, texture: Texture) -> MaterialId {
         self.material(Material::fitted(texture))
+    }
+
+    /// Gives a material a colour, red, green and blue; how bright it is stays.
+    pub fn tinted(&mut self, id: MaterialId, [red, green, blue]: [f32; 3]) {
+        let grey = 0.299 * red + 0.587 * green + 0.114 * blue;
+        self.materials[id].tint = [red, green, blue].map(|value| value / grey);
     }
 
     /// Begins an object: what is added from now on belongs to it.

@@ -4,12 +4,13 @@ use super::effects::{EffectsConfig, Sensor};
 use super::lighting::LightingConfig;
 use super::path::{CameraPath, Carrier, PathError};
 use super::render::{Mover, Renderer};
+use super::scene::Tint;
 use super::world::World;
 use super::worlds::{
     Motion, WorldError, mover_pose, mover_world, path_of, traffic, traffic_worlds,
 };
 use monogrid_geometry::{Camera, CameraError, Distortion, Pinhole, Se3, Vec3, mix};
-use monogrid_image::GrayImage;
+use monogrid_image::{GrayImage, Image};
 use std::sync::Arc;
 
 /// What cannot be made into a sequence.
@@ -275,6 +276,14 @@ impl SynthSequence {
     pub fn depth_through(&self, renderer: &Renderer, k: usize) -> Option<GrayImage> {
         let secs = self.secs(k)?;
         Some(renderer.depth(&self.world, &self.movers(secs), &self.row_poses(secs)))
+    }
+
+    /// Colour of what another camera at the same place sees in the `k`-th frame, as shares of its
+    /// grey; `None` after the last frame.
+    #[must_use]
+    pub fn tints_through(&self, renderer: &Renderer, k: usize) -> Option<Image<Tint>> {
+        let secs = self.secs(k)?;
+        Some(renderer.tints(&self.world, &self.movers(secs), &self.row_poses(secs)))
     }
 
     /// True pose of the `k`-th frame; `None` after the last.

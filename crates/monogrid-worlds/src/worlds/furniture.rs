@@ -6,6 +6,20 @@ use crate::scene::{MaterialId, Scene, place, place_tilted};
 use crate::shapes::{BoxFaces, p};
 use std::f32::consts::TAU;
 
+/// Colours of things, red, green and blue.
+pub(super) const WOOD: [f32; 3] = [0.78, 0.56, 0.34];
+pub(super) const WALNUT: [f32; 3] = [0.60, 0.38, 0.25];
+pub(super) const CREAM: [f32; 3] = [1.0, 0.95, 0.84];
+pub(super) const GREEN: [f32; 3] = [0.34, 0.60, 0.24];
+pub(super) const SAGE: [f32; 3] = [0.62, 0.74, 0.60];
+pub(super) const BLUE: [f32; 3] = [0.32, 0.48, 0.78];
+pub(super) const RED: [f32; 3] = [0.78, 0.30, 0.24];
+pub(super) const CLAY: [f32; 3] = [0.80, 0.45, 0.30];
+pub(super) const OCHRE: [f32; 3] = [0.86, 0.66, 0.28];
+
+/// Colours of printed things, one after the other.
+pub(super) const PRINTS: [[f32; 3]; 6] = [BLUE, OCHRE, RED, SAGE, CLAY, GREEN];
+
 /// Upholstered seat for one or more: base, back, arms, seat cushions, feet.
 pub(super) fn sofa(s: &mut Scene, width: f32, seats: usize, cover: MaterialId, feet: MaterialId) {
     let depth = 0.88;
@@ -122,10 +136,12 @@ fn book_covers(s: &mut Scene, seed: u64) -> Vec<MaterialId> {
     let mut random = Random::new(seed ^ 0xB00C);
     let cover = |k| {
         let tone = random.range(0.06, 0.75);
-        match k % 3 {
+        let cover = match k % 3 {
             0 => s.plain(tone),
             _ => s.fitted(patterns::spine(tone, seed + k)),
-        }
+        };
+        s.tinted(cover, PRINTS[k as usize % PRINTS.len()]);
+        cover
     };
     (0..14).map(cover).collect()
 }

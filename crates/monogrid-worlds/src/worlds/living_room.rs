@@ -24,7 +24,7 @@ struct Palette {
 
 impl Palette {
     fn new(s: &mut Scene) -> Self {
-        Self {
+        let palette = Self {
             white: s.plain(0.74),
             oak: s.tiled(patterns::wood(0.40, 0.55, 21), 1.4, 0.7),
             walnut: s.tiled(patterns::wood(0.17, 0.75, 22), 1.2, 0.6),
@@ -34,7 +34,18 @@ impl Palette {
             leaf: s.tiled(patterns::rough(0.17, 0.9, 5, 0.6, 24), 0.15, 0.15),
             clay: s.plain(0.30),
             shade: s.material(Material::plain(0.75).glowing(0.85)),
+        };
+        for (id, colour) in [
+            (palette.oak, f::WOOD),
+            (palette.walnut, f::WALNUT),
+            (palette.linen, f::CREAM),
+            (palette.leaf, f::GREEN),
+            (palette.clay, f::CLAY),
+            (palette.shade, f::CREAM),
+        ] {
+            s.tinted(id, colour);
         }
+        palette
     }
 }
 
@@ -96,6 +107,9 @@ fn shell(s: &mut Scene) {
     let plaster = s.plain(0.68);
     let ceiling = s.plain(0.80);
     let paper = s.tiled(patterns::foliage(0.46, 0.36, 2), 0.9, 0.9);
+    for (id, colour) in [(floor, f::WOOD), (plaster, f::CREAM), (paper, f::SAGE)] {
+        s.tinted(id, colour);
+    }
     s.room(SIZE_M, [floor, ceiling], [plaster, plaster, plaster, paper]);
     let trim = s.plain(0.72);
     s.cuboid([0.0, 0.0, 0.0], [x, 0.018, 0.08], trim);
@@ -111,11 +125,12 @@ fn north_side(s: &mut Scene, m: &Palette) {
     let print = s.fitted(patterns::foliage(0.62, 0.12, 31));
     let stripes = s.fitted(patterns::painting(32));
     let plain = s.plain(0.16);
-    for (x, cover, turn) in [
-        (1.60, print, 0.3),
-        (2.05, plain, -0.2),
-        (2.95, stripes, -0.4),
+    for (x, cover, colour, turn) in [
+        (1.60, print, f::OCHRE, 0.3),
+        (2.05, plain, f::BLUE, -0.2),
+        (2.95, stripes, f::RED, -0.4),
     ] {
+        s.tinted(cover, colour);
         s.object_at("cushion", place(x, 4.42, 0.50, turn));
         f::cushion(s, 0.42, cover);
     }
@@ -136,8 +151,10 @@ fn cupboard(s: &mut Scene, m: &Palette) {
     f::table_lamp(s, glaze, m.shade);
     s.object_at("bowl", place(5.1, 4.72, 0.85, 0.0));
     f::bowl(s, 0.17, glaze);
+    s.tinted(glaze, f::BLUE);
     for (x, h, tone) in [(5.42, 0.24, 0.1), (5.55, 0.17, 0.6), (5.65, 0.21, 0.35)] {
         let paint = s.plain(tone);
+        s.tinted(paint, f::GREEN);
         s.object_at("bottle", place(x, 4.74, 0.85, 0.0));
         let heights = [h, 0.75 * h, 0.55 * h, 0.0, 0.0];
         s.lathe(&[0.012, 0.014, 0.04, 0.042, 0.0], &heights, 20, paint);
@@ -147,9 +164,11 @@ fn cupboard(s: &mut Scene, m: &Palette) {
 /// Window with curtains, radiator, armchair, plant.
 fn west_side(s: &mut Scene, m: &Palette) {
     let view = s.material(Material::fitted(patterns::outdoors(41)).glowing(0.95));
+    s.tinted(view, f::BLUE);
     s.object_at("window", place(0.0, 2.3, 0.95, FRAC_PI_2));
     f::window(s, 1.7, 1.3, view, m.white, 9.0);
     let cloth = s.tiled(patterns::foliage(0.55, 0.28, 42), 0.7, 0.7);
+    s.tinted(cloth, f::OCHRE);
     for y in [1.10, 3.50] {
         s.object_at("curtain", place(0.14, y, 2.42, FRAC_PI_2));
         s.curtain(0.62, 2.36, 5.0, 0.045, cloth);
@@ -159,6 +178,7 @@ fn west_side(s: &mut Scene, m: &Palette) {
     s.object_at("radiator", place(0.02, 2.3, 0.0, FRAC_PI_2));
     f::radiator(s, 1.3, 0.58, m.white);
     let tweed = s.tiled(patterns::fabric(0.20, 0.8, 40, 43), 0.5, 0.5);
+    s.tinted(tweed, f::BLUE);
     s.object_at("armchair", place(0.85, 3.55, 0.0, FRAC_PI_2 - 0.45));
     f::sofa(s, 0.95, 1, tweed, m.dark);
     s.object_at("tall plant", place(0.50, 0.50, 0.0, 0.0));
@@ -178,6 +198,7 @@ fn south_side(s: &mut Scene, m: &Palette) {
     };
     f::cupboard(s, [1.9, 0.42, 0.45], 4, 1, body, m.metal);
     let show = s.material(Material::fitted(patterns::landscape(51)).glowing(0.55));
+    s.tinted(show, f::GREEN);
     s.object_at("television", place(2.0, 0.24, 0.45, PI));
     f::television(s, 1.15, show, m.dark);
     for x in [0.95 - 0.12, 3.05 + 0.12] {
@@ -206,9 +227,11 @@ fn east_side(s: &mut Scene, m: &Palette) {
         f::chair(s, m.oak, m.clay);
     }
     let runner = s.fitted(patterns::rug(61));
+    s.tinted(runner, f::RED);
     s.object_at("table runner", place(4.95, 2.35, 0.751, 0.1));
     s.cuboid([-0.2, -0.7, 0.0], [0.2, 0.7, 0.004], runner);
     let pottery = s.tiled(patterns::rough(0.35, 0.7, 4, 0.55, 62), 0.3, 0.3);
+    s.tinted(pottery, f::OCHRE);
     s.object_at("jug", place(4.9, 2.6, 0.755, 0.0));
     f::vase(s, 0.26, pottery);
     s.object_at("mug", place(4.75, 2.15, 0.751, 0.6));
@@ -229,6 +252,7 @@ fn east_side(s: &mut Scene, m: &Palette) {
     f::bookshelf(s, 1.1, 1.45, 4, m.walnut, 63);
     s.object_at("globe", place(5.80, 3.75, 1.44, 0.0));
     let land = s.fitted(patterns::landscape(64));
+    s.tinted(land, f::BLUE);
     s.cylinder(0.07, 0.02, m.dark);
     s.at(place(0.0, 0.0, 0.16, 0.4), |s| {
         s.sphere([0.0; 3], 0.13, land);
@@ -242,11 +266,15 @@ fn east_side(s: &mut Scene, m: &Palette) {
 /// Rug, coffee table and what lies around.
 fn middle(s: &mut Scene, m: &Palette) {
     let rug = s.fitted(patterns::rug(71));
+    s.tinted(rug, f::RED);
     s.object_at("rug", place(2.3, 3.05, 0.0, 0.04));
     s.cuboid([-1.25, -0.85, 0.0], [1.25, 0.85, 0.012], rug);
     s.object_at("coffee table", place(2.35, 3.20, 0.0, 0.08));
     f::table(s, [1.10, 0.60, 0.42], m.oak, m.dark);
     let covers: Vec<MaterialId> = (0..3).map(|k| s.fitted(patterns::poster(72 + k))).collect();
+    for (cover, colour) in covers.iter().zip(f::PRINTS) {
+        s.tinted(*cover, colour);
+    }
     s.object_at("magazines", place(2.15, 3.17, 0.42, 0.3));
     f::magazines(s, &covers, 75);
     s.object_at("mug", place(2.68, 3.30, 0.42, 0.9));
@@ -254,16 +282,20 @@ fn middle(s: &mut Scene, m: &Palette) {
     s.object_at("candle", place(2.55, 3.08, 0.42, 0.0));
     s.cylinder(0.035, 0.14, m.white);
     let knit = s.tiled(patterns::fabric(0.30, 0.9, 24, 76), 0.35, 0.35);
+    s.tinted(knit, f::GREEN);
     s.object_at("pouf", place(3.55, 2.95, 0.21, 0.0));
     s.cushion([0.27, 0.27, 0.21], 0.6, knit);
     let weave = s.tiled(patterns::fabric(0.36, 1.0, 16, 77), 0.3, 0.3);
+    s.tinted(weave, f::WOOD);
     s.object_at("basket", place(1.05, 2.45, 0.0, 0.0));
     f::basket(s, 0.2, 0.30, weave);
     let ball = s.fitted(patterns::tiles(0.6, 1.2, 6, 78));
+    s.tinted(ball, f::BLUE);
     s.object_at("ball", place(3.55, 3.85, 0.11, 0.0));
     s.sphere([0.0; 3], 0.11, ball);
     s.object_at("toy box", place(1.1, 1.35, 0.0, 0.5));
     let crate_wood = s.tiled(patterns::planks(0.45, 0.7, 5, 79), 0.6, 0.4);
+    s.tinted(crate_wood, f::WOOD);
     s.cuboid([-0.22, -0.16, 0.0], [0.22, 0.16, 0.26], crate_wood);
     s.object_at("ceiling lamp", place(3.0, 2.5, 2.6, 0.0));
     s.bar(p(0.0, 0.0, 0.0), p(0.0, 0.0, -0.35), 0.008, m.dark);
@@ -291,8 +323,9 @@ fn pictures(s: &mut Scene, m: &Palette) {
             m.walnut,
         ),
     ];
-    for (pose, size, image, frame) in pictures {
+    for ((pose, size, image, frame), colour) in pictures.into_iter().zip(f::PRINTS) {
         let image = s.fitted(image);
+        s.tinted(image, colour);
         s.object_at("picture", pose);
         f::picture(s, size, image, frame);
     }
@@ -302,5 +335,6 @@ fn leaning_picture(s: &mut Scene, m: &Palette) {
     let pose = place_tilted(5.75, 4.93, 0.855, [-0.12, 0.0, 0.0]);
     s.object_at("leaning picture", pose);
     let image = s.fitted(patterns::landscape(87));
+    s.tinted(image, f::SAGE);
     f::picture(s, [0.25, 0.35], image, m.white);
 }

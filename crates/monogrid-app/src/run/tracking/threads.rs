@@ -42,8 +42,7 @@ pub fn track(
     let mut frame_colours = None;
     if !settings.is_localise_only() {
         let source_colours = ColourSource::of(input);
-        let source = source_colours.as_ref();
-        frame_colours = source.map(|source| Arc::clone(&source.kept));
+        frame_colours = Some(Arc::clone(&source_colours.kept));
         let earlier = settings.earlier().cloned();
         let sources = (earlier, source_colours);
         let recorder = Recorder::start(Arc::clone(folder), &session, sources, settings.submaps)?;
