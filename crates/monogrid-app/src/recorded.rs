@@ -2,9 +2,10 @@
 
 use crate::config::RunConfig;
 use crate::process::failure::Failure;
-use crate::run::align::{Align, MapFrame, Scene};
+use crate::run::align::{self, Align, MapFrame};
 use crate::run::sensed::SensedFrame;
 use crate::run::sessions::{Source, frame_beside, tracked_frame};
+use crate::run::summary::unit_name;
 use monogrid_datasets::{
     RecordedCamera, RecordedKeyframe, Recording, Scale, SessionInfo, is_submap,
 };
@@ -16,6 +17,9 @@ use monogrid_mapping::{
 };
 use monogrid_occupancy::{MapError, OccupancyMap};
 use monogrid_report::colours::Colours;
+use monogrid_report::explorer::{
+    Camera, CloudPoint, Scene, SemiDense, ShownKeyframe, cloud_and_keyframes, point_groups,
+};
 use monogrid_report::surface::{CellColours, ColouredScan};
 use monogrid_slam::TrackedFrame;
 use std::cell::OnceCell;
@@ -64,7 +68,7 @@ impl Recorded {
         let mapping = mapping.unwrap_or_default();
         let scans = OnceCell::new();
         let (frame, align_failure) =
-            align.frame(&trajectory, &SensedFrame::default(), &mut || Scene {
+            align.frame(&trajectory, &SensedFrame::default(), &mut || align::Scene {
                 views: views_of(
                     &recording.keyframes,
                     scans.get_or_init(|| scans_of(&recording.keyframes, &mapping, 1)),
@@ -93,8 +97,7 @@ impl Recorded {
         config: &MappingConfig,
         threads: usize,
     ) -> Result<(OccupancyMap, MapStats, Option<SceneCell>), MapError> {
-        let is_metric = self.frame.is_aligned || self.session.scale == Scale::Metric;
-        let is_free = config.auto_resolution && !is_metric;
+        let is_free = config.auto_resolution && !self.is_metric();
         let cell = is_free.then(|| scene_cell(&views_of(&self.keyframes, scans), config));
         let cell = cell.flatten();
         let mut mapper = Mapper::new(config.clone(), threads);
@@ -132,6 +135,46 @@ impl Recorded {
             .collect();
         let colours = Colours::of(&self.keyframes);
         CellColours::new(&coloured, &colours, resolution)
+    }
+
+    /// What there is to explore of the keyframes, with the points that are shown.
+    pub fn scene(&self) -> (Scene, Vec<CloudPoint>) {
+        let colours = Colours::of(&self.keyframes);
+        let posed = self.keyframes.iter().filter_map(|keyframe| {
+            let RecordedKeyframe { id, camera, .. } = keyframe;
+            let camera = KeyframeCamera::new(camera.pinhole, (camera.width, camera.height));
+            Some(ShownKeyframe {
+                frame_index: keyframe.frame_index,
+                timestamp_ns: keyframe.timestamp_ns,
+                map_from_keyframe: self.frame.map_from_world * keyframe.world_from_keyframe?,
+                pinhole: keyframe.camera.pinhole,
+                image: keyframe.image.as_ref().map(ImageOf::Held),
+                semi_dense: SemiDense::recorded(*id, camera, &keyframe.pixels),
+            })
+        });
+        let posed: Vec<ShownKeyframe> = posed.collect();
+        let groups = point_groups(&posed, &colours);
+        let begin = posed.first().map_or(0, |keyframe| keyframe.timestamp_ns);
+        let (cloud, keyframes) = cloud_and_keyframes(&posed, &groups, &colours, begin);
+        let path = posed.iter().map(|keyframe| {
+            let [x, y, z] = <[f64; 3]>::from(keyframe.map_from_keyframe.translation);
+            (keyframe.frame_index as usize, x as f32, y as f32, z as f32)
+        });
+        let camera = self.session.camera();
+        let scene = Scene {
+            unit: unit_name(self.is_metric()).to_owned(),
+            cloud: Some(cloud),
+            camera: Some(Camera::new(&camera.pinhole, [camera.width, camera.height])),
+            keyframes,
+            path: path.collect(),
+            ..Scene::default()
+        };
+        (scene, groups.concat())
+    }
+
+    /// Whether lengths are metres.
+    fn is_metric(&self) -> bool {
+        self.frame.is_aligned || self.session.scale == Scale::Metric
     }
 
     /// The scans of keyframes with a pose, and these in the frame of maps.

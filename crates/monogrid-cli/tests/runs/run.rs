@@ -68,6 +68,8 @@ fn a_run_writes_everything_and_the_same_bytes_for_any_number_of_threads_and_any_
         "mesh.glb",
         "map.pgm",
         "map.yaml",
+        "plan.png",
+        "plan.svg",
         "preview.png",
         "config.toml",
         "summary.json",
@@ -518,6 +520,9 @@ fn colour_of_the_source_is_kept_and_shown() {
     let points = scene["cloud"]["count"][0].as_u64().unwrap() as usize;
     assert_eq!(block_bytes(&scene["cloud"]["colours"]), 3 * points);
     the_surface_is_coloured(&out, &scene["mesh"]);
+    let cells = scene["cells"]["count"][0].as_u64().unwrap() as usize;
+    let colours = block_bytes(&scene["cells"]["colours"]);
+    assert_eq!(colours, 3 * cells);
     // a run that goes on, and the same run in metres, have the colours still
     let (later, metric) = (dir.path().join("later"), dir.path().join("metric"));
     let earlier = out.display().to_string();
@@ -540,6 +545,14 @@ fn colour_of_the_source_is_kept_and_shown() {
     };
     let first = colours(&out);
     assert_eq!(first, colours(&metric));
+    // the report is written again, in metres
+    let html = fs::read_to_string(metric.join("report.html")).unwrap();
+    let again: serde_json::Value = serde_json::from_str(block(&html, "id=\"scene\">")).unwrap();
+    assert_eq!(again["unit"], "m");
+    let side = |scene: &serde_json::Value| scene["plan"]["size"][0].as_f64().unwrap();
+    let times = side(&again) / side(&scene);
+    assert!((1.8..2.2).contains(&times), "{times}");
+    the_surface_is_coloured(&metric, &again["mesh"]);
     assert_eq!(first, colours(&later)[..first.len()]);
 }
 

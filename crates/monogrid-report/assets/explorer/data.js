@@ -28,10 +28,15 @@ export function evenOrder(count) {
   return order;
 }
 
+// Share of what was filmed, on each side, that does not decide what is in view.
+const FAR = 0.02;
+
 // Cubes of one kind: four integers each; `centre` and `edge` give lengths.
 export class Cubes {
-  constructor(base64, cells) {
+  constructor(base64, cells, colours) {
     this.raw = integersOf(base64);
+    // three bytes each, of those that are occupied
+    this.colours = colours ? bytesOf(colours) : null;
     this.count = this.raw.length / 4;
     this.unit = cells.edge;
     this.first = cells.first;
@@ -42,7 +47,7 @@ export class Cubes {
   probability(i) {
     return (this.raw[4 * i + 3] & 255) / 255;
   }
-  centre(i) {
+  at(i) {
     const half = this.edge(i) / 2;
     return [0, 1, 2].map((axis) => (this.raw[4 * i + axis] + this.first[axis]) * this.unit + half);
   }
@@ -69,10 +74,14 @@ export class Points {
 export class Surface {
   constructor(mesh) {
     this.raw = integersOf(mesh.vertices);
+    this.count = this.raw.length / 4;
     this.colours = bytesOf(mesh.colours);
     this.triangles = new Uint32Array(bytesOf(mesh.triangles).buffer);
     this.low = mesh.low;
     this.step = mesh.step;
+  }
+  at(i) {
+    return [0, 1, 2].map((axis) => this.low[axis] + this.step * this.raw[4 * i + axis]);
   }
 }
 
@@ -81,7 +90,7 @@ export function unpacked(scene) {
   const { cells, cloud, mesh } = scene;
   return {
     ...scene,
-    occupied: cells ? new Cubes(cells.occupied, cells) : null,
+    occupied: cells ? new Cubes(cells.occupied, cells, cells.colours) : null,
     free: cells ? new Cubes(cells.free, cells) : null,
     points: cloud ? new Points(cloud) : null,
     surface: mesh ? new Surface(mesh) : null,
@@ -96,22 +105,39 @@ export function quantiles(values, low, high) {
   return [at(low), at(high)];
 }
 
+// Some places of what was filmed: pixels count, so that a few of them far away weigh little; else cells or vertices.
+export function places({ occupied, points, surface }, most = 20000) {
+  const source = points?.count ? points : surface?.count ? surface : occupied;
+  const found = [];
+  const every = Math.max(1, Math.floor((source?.count ?? 0) / most));
+  for (let i = 0; i < (source?.count ?? 0); i += every) found.push(source.at(i));
+  return found;
+}
+
 // Where there is something to see, but for a few things far away: lower and upper corner.
-export function extent({ occupied, points, path }) {
+export function extent(data) {
+  const seen = places(data);
+  const path = data.path.map((p) => p.slice(1));
   const axes = [0, 1, 2].map((axis) => {
-    const values = path.map((p) => p[axis + 1]);
-    const take = (source, at) => {
-      const every = Math.max(1, Math.floor(source.count / 20000));
-      for (let i = 0; i < source.count; i += every) values.push(at(i)[axis]);
-    };
-    if (occupied) take(occupied, (i) => occupied.centre(i));
-    else if (points) take(points, (i) => points.at(i));
-    return quantiles(values, 0.01, 0.99);
+    const along = (list) => list.map((place) => place[axis]);
+    const ranges = [quantiles(along(seen.length ? seen : path), FAR, 1 - FAR)];
+    // the camera is always in view
+    if (path.length) ranges.push(quantiles(along(path), 0, 1));
+    return [Math.min(...ranges.map((range) => range[0])), Math.max(...ranges.map((range) => range[1]))];
   });
   return [axes.map((a) => a[0]), axes.map((a) => a[1])];
 }
 
+const unitName = (value, unit) => (unit === 'm' ? 'm' : value === 1 ? 'map unit' : 'map units');
+
 export function length(value, unit) {
   const digits = Math.abs(value) >= 100 ? 1 : Math.abs(value) >= 1 ? 2 : 3;
-  return `${value.toFixed(digits)} ${unit === 'm' ? 'm' : 'map units'}`;
+  return `${value.toFixed(digits)} ${unitName(value, unit)}`;
+}
+
+// The largest round length within one, and what a bar of it is called.
+export function bar(most, unit) {
+  const power = 10 ** Math.floor(Math.log10(most));
+  const size = Number(([5, 2, 1].find((n) => n * power <= most) * power).toPrecision(1));
+  return { size, text: `${size} ${unitName(size, unit)}${unit === 'm' ? '' : ' (unknown scale)'}` };
 }

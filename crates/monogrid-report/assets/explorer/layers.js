@@ -59,6 +59,7 @@ function facesGeometry(cubes) {
   const faces = visibleFaces(cubes);
   const cell = new Uint16Array(faces.length * 16);
   const corner = new Uint8Array(faces.length * 16);
+  const colour = new Uint8Array(faces.length * 12);
   const index = new Uint32Array(faces.length * 6);
   faces.forEach((name, k) => {
     const cube = Math.floor(name / 6);
@@ -66,6 +67,7 @@ function facesGeometry(cubes) {
     [[0, 0], [1, 0], [1, 1], [0, 1]].forEach(([a, b], n) => {
       const at = 16 * k + 4 * n;
       cell.set(cubes.raw.subarray(4 * cube, 4 * cube + 4), at);
+      if (cubes.colours) colour.set(cubes.colours.subarray(3 * cube, 3 * cube + 3), 12 * k + 3 * n);
       corner[at + axis] = side;
       corner[at + ((axis + 1) % 3)] = a;
       corner[at + ((axis + 2) % 3)] = b;
@@ -79,17 +81,20 @@ function facesGeometry(cubes) {
   const cells = new BufferAttribute(cell, 4);
   geometry.setAttribute('cell', cells);
   geometry.setAttribute('corner', new BufferAttribute(corner, 4));
+  geometry.setAttribute('colour', new BufferAttribute(colour, 3, true));
   geometry.setAttribute('position', cells);
   geometry.setIndex(new BufferAttribute(index, 1));
   return geometry;
 }
 
+// `mode` 0: colour, 1: height, 2: probability.
 const CUBE_PLACE = `
   uniform vec3 first;
   uniform float unit;
   uniform vec2 shownHeights, heights;
-  uniform float byProbability;
+  uniform float mode;
   attribute vec4 cell;
+  attribute vec3 colour;
   varying vec3 tint;
   ${RAINBOW_SHADER}
   float edgeOf() { return unit * exp2(floor(cell.w / 256.0)); }
@@ -97,7 +102,7 @@ const CUBE_PLACE = `
   vec3 colourOf(vec3 centre) {
     float probability = mod(cell.w, 256.0) / 255.0;
     float height = (centre.z - heights.x) / max(heights.y - heights.x, 1e-9);
-    return rainbow(mix(height, 2.0 * probability - 1.0, byProbability));
+    return mode < 0.5 ? colour : rainbow(mode < 1.5 ? height : 2.0 * probability - 1.0);
   }
   bool isShown(vec3 centre) { return centre.z >= shownHeights.x && centre.z <= shownHeights.y; }`;
 
@@ -111,7 +116,7 @@ export function cubesLayer(cubes, shared) {
     ...shared,
     first: { value: new Vector3(...cubes.first) },
     unit: { value: cubes.unit },
-    byProbability: { value: 0 },
+    mode: { value: 1 },
     // dots become larger when only some of them are drawn
     growth: { value: 1 },
   };
@@ -158,6 +163,7 @@ function dotsOf(cubes, material) {
   const cells = new InterleavedBufferAttribute(new InterleavedBuffer(cubes.raw, 4), 4, 0);
   geometry.setIndex(new BufferAttribute(evenOrder(cubes.count), 1));
   geometry.setAttribute('cell', cells);
+  geometry.setAttribute('colour', new BufferAttribute(cubes.colours ?? new Uint8Array(3 * cubes.count), 3, true));
   // three.js asks for the number of points here
   geometry.setAttribute('position', cells);
   const dots = new PointsObject(geometry, material);
@@ -172,7 +178,7 @@ export function freeLayer(cubes, shared) {
       ...shared,
       first: { value: new Vector3(...cubes.first) },
       unit: { value: cubes.unit },
-      byProbability: { value: 0 },
+      mode: { value: 1 },
     },
     transparent: true,
     depthWrite: false,
@@ -233,7 +239,7 @@ export function pointsLayer(points, shared) {
   return { layer, uniforms };
 }
 
-// The surface in its colours, lit a little so that its shape is seen.
+// The surface in its colours, lit a little so that its shape is seen; from behind it is not there, so that one looks into a room.
 export function surfaceLayer(surface, shared) {
   const geometry = new BufferGeometry();
   const place = new InterleavedBufferAttribute(new InterleavedBuffer(surface.raw, 4), 4, 0);
@@ -243,8 +249,6 @@ export function surfaceLayer(surface, shared) {
   geometry.setIndex(new BufferAttribute(surface.triangles, 1));
   const material = new ShaderMaterial({
     uniforms: { ...shared, low: { value: new Vector3(...surface.low) }, stepLength: { value: surface.step } },
-    // both sides, as three.js numbers them
-    side: 2,
     vertexShader: `
       uniform vec3 low;
       uniform vec2 shownHeights;

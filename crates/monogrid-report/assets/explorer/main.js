@@ -1,4 +1,5 @@
 // Puts the parts of the explorer together: what is chosen in one is shown in the others.
+import { RAINBOW } from 'explorer/colours';
 import { unpacked, length } from 'explorer/data';
 import { KeyframeView } from 'explorer/keyframe';
 import { Plan } from 'explorer/plan';
@@ -40,16 +41,8 @@ function button(text, press) {
   return made;
 }
 
-// Switches, colours, heights and points of view of the view in three dimensions.
+// What is shown and in which colours, switches, heights and points of view of the view in three dimensions.
 function controlView(view, data) {
-  const panel = byId('switches');
-  for (const [key, layer] of Object.entries(view.layers)) panel.append(toggle(layer.name, layer.on, (on) => view.show(key, on)));
-  if (view.cubes) panel.append(choice('cells by', ['height', 'probability'], (mode) => view.colourCells(mode)));
-  if (view.points) {
-    panel.append(choice('cloud by', [data.points.colours ? 'colour' : 'grey', 'height', 'confidence'], (mode) => view.colourPoints(mode)));
-    panel.append(choice('dots of', ['2', '1', '3', '5'], (size) => view.sizePoints(Number(size))));
-  }
-  for (const where of ['corner', 'above', 'front']) panel.append(button(where, () => view.lookFrom(where)));
   const [low, high] = view.heights(Infinity);
   const room = 0.25 * (high - low) + 1e-6;
   const range = [low - room, high + room];
@@ -59,8 +52,54 @@ function controlView(view, data) {
     view.cut(Math.max(shown[0], -1e30), Math.min(shown[1], 1e30));
     return Number.isFinite(shown[side]) ? length(height, data.unit) : 'off';
   };
-  const begin = data.cut === undefined ? range[1] : Math.min(Math.max(data.cut, range[0]), range[1]);
-  byId('cuts').append(slider('cut above', range, begin, cut(1, Infinity)), slider('cut below', range, range[0], cut(0, -Infinity)));
+  const above = slider('cut above', range, range[1], cut(1, Infinity));
+  byId('cuts').append(above, slider('cut below', range, range[0], cut(0, -Infinity)));
+  const modes = view.modes();
+  const buttons = modes.map((mode) => button(mode.name, () => show(mode)));
+  const show = (mode) => {
+    buttons.forEach((made, i) => (made.ariaPressed = modes[i] === mode));
+    view.showAs(mode);
+    explain(mode.legend, data);
+    const input = above.querySelector('input');
+    input.value = Math.min(Math.max(mode.cut ?? range[1], range[0]), range[1]);
+    input.dispatchEvent(new Event('input'));
+  };
+  byId('modes').append(...buttons);
+  if (modes.length) show(modes[0]);
+  const panel = byId('switches');
+  for (const [key, layer] of Object.entries(view.layers)) if (layer.name) panel.append(toggle(layer.name, layer.on, (on) => view.show(key, on)));
+  if (view.points) panel.append(choice('dots of', ['2', '1', '3', '5'], (size) => view.sizePoints(Number(size))));
+  for (const where of ['corner', 'above', 'front']) panel.append(button(where, () => view.lookFrom(where)));
+}
+
+// What the colours of the view mean.
+function explain({ title, scale, from, to }, data) {
+  const ramp = { rainbow: RAINBOW, trust: [[204, 51, 38], [51, 166, 77]] }[scale];
+  const colours = ramp?.map((colour) => `rgb(${colour})`).join(',');
+  const swatch = (style, name) => [element('i', { className: 'line', style }), name];
+  byId('colours').replaceChildren(
+    element('b', { textContent: title }),
+    ...(ramp ? [` ${from} `, element('i', { className: 'ramp', style: `background:linear-gradient(to right,${colours})` }), ` ${to}`] : []),
+    ...(data.path.length > 1 ? [...swatch('background:var(--ink)', 'path of the camera'), ...swatch('background:#1f9e77', 'its start'), ...swatch('background:#c7372f', 'its end')] : []),
+  );
+}
+
+// The command that makes the distance of two places a true length. A page that was opened as a file knows the folder of its run.
+function offerScale(places, { unit }) {
+  const form = byId('rescale');
+  form.hidden = unit === 'm' || places.length < 2;
+  if (form.hidden) return;
+  const folder = location.protocol === 'file:' ? decodeURIComponent(location.pathname.replace(/\/[^/]*$/, '')) : 'RUN';
+  const quoted = (name) => (/^[\w./-]+$/.test(name) ? name : `'${name.replaceAll("'", "'\\''")}'`);
+  const ends = places.map((place) => place.map((value) => value.toFixed(4)).join(':'));
+  const input = element('input', { type: 'number', min: 0, step: 'any', ariaLabel: 'true length in metres' });
+  const command = element('code');
+  const tell = () => {
+    const known = Number(input.value) > 0;
+    command.textContent = known ? `monogrid rescale ${quoted(folder)} --scale-from distance:${ends}=${input.value}m --out ${quoted(`${folder}-metres`)}` : '';
+  };
+  input.addEventListener('input', tell);
+  form.replaceChildren(element('label', {}, 'true length between them ', input, ' m'), command);
 }
 
 function showPlan(data) {
@@ -72,22 +111,24 @@ function showPlan(data) {
   let low = Infinity;
   let high = -Infinity;
   for (let i = 0; i < data.occupied.count; i++) {
-    const height = data.occupied.centre(i)[2];
+    const height = data.occupied.at(i)[2];
     low = Math.min(low, height);
     high = Math.max(high, height);
   }
   const edge = data.cells.edge;
   let isLayer = false;
   let height = data.path.length ? data.path[0][3] : (low + high) / 2;
-  const update = () => (isLayer ? plan.showBetween(height, height) : plan.showBetween(-Infinity, data.cut ?? Infinity));
+  const update = () => plan.showLayer(isLayer ? height : null);
   const layer = slider('height', [low, high], Math.min(Math.max(height, low), high), (value) => {
     height = (Math.floor(value / edge) + 0.5) * edge;
     update();
     return length(height, data.unit);
   });
   layer.hidden = true;
-  const kinds = choice('show', ['all below the cut', 'one layer of cells'], (kind) => {
-    isLayer = kind === 'one layer of cells';
+  const [from, to] = data.plan?.band ?? [];
+  const all = data.plan ? `heights from ${from.toFixed(2)} to ${length(to, data.unit)}` : 'all heights';
+  const kinds = choice('show', [all, 'one layer of cells'], (kind) => {
+    isLayer = kind !== all;
     layer.hidden = !isLayer;
     update();
   });
@@ -146,14 +187,16 @@ function linkKeyframes(data, view, keyframeView, choose) {
 }
 
 function start() {
+  for (const form of document.querySelectorAll('form')) form.addEventListener('submit', (event) => event.preventDefault());
   const begun = performance.now();
   const data = unpacked(JSON.parse(byId('scene').textContent));
   byId('explorer').hidden = false;
   let view = null;
   try {
-    view = new View(byId('view3d'), data, (text) => {
+    view = new View(byId('view3d'), data, (text, places) => {
       byId('picked').textContent = text;
       byId('picked').hidden = false;
+      offerScale(places, data);
     });
     controlView(view, data);
   } catch (error) {

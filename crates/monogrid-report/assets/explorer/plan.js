@@ -1,6 +1,6 @@
-// The map from above in two dimensions: one layer of cells, or the cells between two heights, with the path.
+// The map from above in two dimensions, with the path: as plan.png shows it, or one layer of cells; all cells where there is no plan.
 import { isDark } from 'explorer/colours';
-import { extent } from 'explorer/data';
+import { bar, extent } from 'explorer/data';
 
 const MARGIN = 0.06;
 
@@ -8,7 +8,11 @@ export class Plan {
   constructor(canvas, data) {
     this.canvas = canvas;
     this.data = data;
-    this.heights = [-Infinity, Infinity];
+    // the layer of cells that is shown instead
+    this.layer = null;
+    this.image = new Image();
+    this.image.onload = () => this.draw();
+    if (data.plan) this.image.src = `data:image/png;base64,${data.plan.image}`;
     this.moment = null;
     const [low, high] = extent(data);
     const room = MARGIN * Math.max(high[0] - low[0], high[1] - low[1], 1e-6);
@@ -17,9 +21,9 @@ export class Plan {
     new ResizeObserver(() => this.draw()).observe(canvas.parentElement);
   }
 
-  // One layer of cells at a height, or everything between two.
-  showBetween(low, high) {
-    this.heights = [low, high];
+  // One layer of cells at a height; the plan for null.
+  showLayer(height) {
+    this.layer = height;
     this.draw();
   }
   mark(point) {
@@ -45,23 +49,35 @@ export class Plan {
     const left = (width - this.size[0] * scale) / 2;
     const top = (height - this.size[1] * scale) / 2;
     this.at = ([x, y]) => [left + (x - this.low[0]) * scale, height - top - (y - this.low[1]) * scale];
-    const colours = isDark() ? ['#3a3d42', '#1b1d20', '#e8e8e4'] : ['#d9d9d4', '#ffffff', '#1c1c1c'];
-    context.fillStyle = colours[0];
+    // the tones of plan.png
+    const [occupied, free, unknown] = ['#26262c', '#ffffff', '#cdcdc8'];
+    context.fillStyle = unknown;
     context.fillRect(0, 0, width, height);
-    this.cells(context, this.data.free, colours[1], scale);
-    this.cells(context, this.data.occupied, colours[2], scale);
+    if (this.data.plan && this.layer === null) this.cellsOfPlan(context, scale);
+    else {
+      this.cells(context, this.data.free, free, scale);
+      this.cells(context, this.data.occupied, occupied, scale);
+    }
     this.line(context, this.data.reference, '#999999');
     this.line(context, this.data.path.map((p) => p.slice(1)), '#2a7fc8');
     if (this.moment) this.dot(context, this.moment, '#ff00aa');
-    this.ruler(context, width, height, scale, colours[2]);
+    this.ruler(context, width, height, scale);
+  }
+
+  cellsOfPlan(context, scale) {
+    if (!this.image.complete) return;
+    const { low, size } = this.data.plan;
+    const [left, top] = this.at([low[0], low[1] + size[1]]);
+    context.imageSmoothingEnabled = false;
+    context.drawImage(this.image, left, top, size[0] * scale, size[1] * scale);
   }
 
   cells(context, cubes, colour, scale) {
     if (!cubes) return;
     context.fillStyle = colour;
-    const [low, high] = this.heights;
+    const [low, high] = this.layer === null ? [-Infinity, this.data.cut ?? Infinity] : [this.layer, this.layer];
     for (let i = 0; i < cubes.count; i++) {
-      const [x, y, z] = cubes.centre(i);
+      const [x, y, z] = cubes.at(i);
       const half = cubes.edge(i) / 2;
       if (z + half <= low || z - half > high) continue;
       const [u, v] = this.at([x - half, y + half]);
@@ -86,13 +102,11 @@ export class Plan {
   }
 
   // A bar of a round length.
-  ruler(context, width, height, scale, colour) {
-    const wanted = (0.25 * width) / scale;
-    const power = 10 ** Math.floor(Math.log10(wanted));
-    const size = [5, 2, 1].map((n) => n * power).find((n) => n <= wanted) ?? power;
+  ruler(context, width, height, scale) {
+    const { size, text } = bar((0.25 * width) / scale, this.data.unit);
     context.fillStyle = '#2a7fc8';
     context.fillRect(12, height - 14, size * scale, 3);
     context.font = '12px system-ui,sans-serif';
-    context.fillText(`${Number(size.toPrecision(1))} ${this.data.unit === 'm' ? 'm' : 'map units'}`, 12, height - 20);
+    context.fillText(text, 12, height - 20);
   }
 }

@@ -1,7 +1,7 @@
 // The view in three dimensions: camera, layers, picking and measuring. Drawn when something changes, not all the time.
 import { OrbitControls, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3, WebGLRenderer } from 'three';
 import { Group, cubesLayer, freeLayer, frustaLayer, lineLayer, linksLayer, markAt, pointsLayer, sharedUniforms, surfaceLayer } from 'explorer/layers';
-import { extent, length, quantiles } from 'explorer/data';
+import { bar, extent, length, places, quantiles } from 'explorer/data';
 import { isDark } from 'explorer/colours';
 
 // A frame that takes longer than this while the view moves is drawn with less.
@@ -12,6 +12,8 @@ const LEAST_SHARE = 0.04;
 const AFFORDABLE = 60000;
 // With fewer cells than this the cloud says more, and is shown at once.
 const FEW_CELLS = 5000;
+// Longest bar of a length, px.
+const MAX_BAR = 140;
 // Milliseconds after which a view that no longer moves is drawn in full.
 const REST_MS = 180;
 
@@ -33,6 +35,7 @@ export class View {
     this.canvas = canvas;
     this.data = data;
     this.say = say;
+    this.ruler = document.getElementById('ruler');
     this.renderer = new WebGLRenderer({ canvas, antialias: false, powerPreference: 'high-performance' });
     this.scene = new Scene();
     this.camera = new PerspectiveCamera(45, 1, 1, 10);
@@ -67,15 +70,9 @@ export class View {
 
   // Heights between which colours are spread: those of what is shown at first.
   heights(most = this.data.cut ?? Infinity) {
-    const { occupied, points, path } = this.data;
-    const take = (source, at) => {
-      const every = Math.max(1, Math.floor(source.count / 20000));
-      const values = [];
-      for (let i = 0; i < source.count; i += every) values.push(at(i)[2]);
-      return values.filter((height) => height <= most);
-    };
-    if (occupied?.count) return quantiles(take(occupied, (i) => occupied.centre(i)), 0.02, 0.98);
-    if (points?.count) return quantiles(take(points, (i) => points.at(i)), 0.02, 0.98);
+    const { occupied, path } = this.data;
+    const heights = places(occupied?.count ? { occupied } : this.data).map((place) => place[2]);
+    if (heights.length) return quantiles(heights.filter((height) => height <= most), 0.02, 0.98);
     return quantiles(path.map((p) => p[3]), 0, 1);
   }
 
@@ -88,13 +85,13 @@ export class View {
       const object = new Group();
       object.add(this.cubes.exact, this.cubes.quick);
       this.cubes.quick.visible = false;
-      layers.cells = { name: `cells (${occupied.count.toLocaleString('en')})`, object, on: true };
+      layers.cells = { object, on: false };
     }
     if (points?.count) {
       this.points = pointsLayer(points, this.shared);
-      layers.cloud = { name: `cloud (${points.count.toLocaleString('en')} points)`, object: this.points.layer, on: !(occupied?.count > FEW_CELLS) };
+      layers.cloud = { object: this.points.layer, on: false };
     }
-    if (surface) layers.surface = { name: 'surface', object: surfaceLayer(surface, this.shared), on: false };
+    if (surface) layers.surface = { object: surfaceLayer(surface, this.shared), on: false };
     if (free?.count) layers.free = { name: 'free space', object: freeLayer(free, this.shared), on: false };
     if (path.length > 1) {
       const line = lineLayer(path.map((p) => p.slice(1)), isDark() ? 0xf0f0f0 : 0x151515);
@@ -122,13 +119,39 @@ export class View {
     this.shared.shownHeights.value = [low, high];
     this.draw();
   }
-  colourCells(mode) {
-    this.cubes.uniforms.byProbability.value = mode === 'probability' ? 1 : 0;
-    this.draw();
+
+  // The ways to show what was mapped, the best first: one layer, its colours, and what they mean.
+  modes() {
+    const { occupied, points, surface } = this.data;
+    const filmed = { title: 'colour: as filmed' };
+    const [low, high] = this.shared.heights.value.map((height) => length(height, this.data.unit));
+    const height = { title: 'height', scale: 'rainbow', from: low, to: high };
+    const found = [];
+    const add = (name, layer, mode, legend, cut) => found.push({ name, layer, mode, legend, cut });
+    if (surface) add('surface', 'surface', 0, filmed);
+    if (occupied?.count) {
+      const { cut } = this.data;
+      if (occupied.colours) add('cells by colour', 'cells', 0, filmed, cut);
+      add('cells by height', 'cells', 1, height, cut);
+      add('cells by probability', 'cells', 2, { title: 'occupied with probability', scale: 'rainbow', from: '0.5', to: '1' }, cut);
+    }
+    if (points) {
+      add('points', 'cloud', 0, filmed);
+      add('points by height', 'cloud', 1, height);
+      add('points by confidence', 'cloud', 2, { title: 'depth', scale: 'trust', from: 'uncertain', to: 'certain' });
+    }
+    // few cells and no surface: the points say more
+    if (!surface && points && !(occupied?.count > FEW_CELLS)) found.unshift(found.splice(found.findIndex(({ name }) => name === 'points'), 1)[0]);
+    return found;
   }
-  colourPoints(mode) {
-    // the first mode is what the points look like
-    this.points.uniforms.mode.value = 1 + ['height', 'confidence'].indexOf(mode);
+
+  showAs({ layer, mode }) {
+    for (const name of ['surface', 'cells', 'cloud']) {
+      const known = this.layers[name];
+      if (known) known.object.visible = known.on = name === layer;
+    }
+    if (layer === 'cells') this.cubes.uniforms.mode.value = mode;
+    if (layer === 'cloud') this.points.uniforms.mode.value = mode;
     this.draw();
   }
   sizePoints(size) {
@@ -136,8 +159,9 @@ export class View {
     this.draw();
   }
 
+  // From above the side from which it was filmed: what the camera did not see has no surface.
   lookFrom(where) {
-    const direction = { corner: [-0.62, -0.72, 0.75], above: [0, -0.001, 1.25], front: [-1.2, 0, 0.1] }[where];
+    const direction = { corner: [...this.filmedFrom(), 0.7], above: [0, -0.001, 1.25], front: [-1.2, 0, 0.1] }[where];
     const back = new Vector3(...direction).normalize();
     const right = new Vector3(0, 0, 1).cross(back).normalize();
     const up = back.clone().cross(right);
@@ -149,20 +173,20 @@ export class View {
     this.draw();
   }
 
-  // What is in view at first: some of the cells, or points, and the path, within the box and below the cut; its corners where there is nothing yet.
+  // Where the cameras were as seen from what they filmed, level; a corner where that is nowhere.
+  filmedFrom() {
+    const [x, y] = (this.data.keyframes ?? []).reduce(([x, y], { pose }) => [x - pose[2], y - pose[6]], [0, 0]);
+    const size = Math.hypot(x, y);
+    return size > 0.1 * this.data.keyframes.length ? [x / size, y / size] : [-0.65, -0.76];
+  }
+
+  // What is in view at first: some of what was filmed, and the path, within the box and below the cut; its corners where there is nothing yet.
   toFit() {
     const [low, high] = this.box;
     const top = Math.max(low[2], Math.min(high[2], this.data.cut ?? Infinity));
-    const { occupied, points, path } = this.data;
-    const places = (path ?? []).map((p) => p.slice(1, 4));
-    const take = (source, at) => {
-      const every = Math.max(1, Math.floor(source.count / 5000));
-      for (let i = 0; i < source.count; i += every) places.push(at(i));
-    };
-    if (occupied?.count) take(occupied, (i) => occupied.centre(i));
-    else if (points?.count) take(points, (i) => points.at(i));
+    const seen = [...(this.data.path ?? []).map((p) => p.slice(1, 4)), ...places(this.data, 5000)];
     const isInside = (place) => place.every((value, i) => value >= low[i] && value <= (i === 2 ? top : high[i]));
-    const inside = places.filter(isInside);
+    const inside = seen.filter(isInside);
     if (inside.length > 1) return inside;
     return [...Array(8).keys()].map((k) => [k & 1 ? high[0] : low[0], k & 2 ? high[1] : low[1], k & 4 ? top : low[2]]);
   }
@@ -289,6 +313,16 @@ export class View {
   render() {
     this.renderer.setClearColor(isDark() ? 0x16181b : 0xf6f6f3);
     this.renderer.render(this.scene, this.camera);
+    this.measureBar();
+  }
+
+  // A bar as long as a round length at the place that the view turns around.
+  measureBar() {
+    const distance = this.camera.position.distanceTo(this.controls.target);
+    const pixels = this.shared.pixelsPerUnit.value / this.renderer.getPixelRatio() / distance;
+    const { size, text } = bar(MAX_BAR / pixels, this.data.unit);
+    this.ruler.firstChild.style.width = `${size * pixels}px`;
+    this.ruler.lastChild.textContent = text;
   }
 
   // What lies under the pointer: the nearest cell, or the nearest point close to the ray.
@@ -299,13 +333,13 @@ export class View {
     caster.setFromCamera(at, this.camera);
     const origin = caster.ray.origin.toArray();
     const direction = caster.ray.direction.toArray();
-    const found = this.pickCell(origin, direction) ?? this.pickPoint(origin, direction);
+    const found = this.pickSurface(origin, direction) ?? this.pickCell(origin, direction) ?? this.pickPoint(origin, direction);
     if (!found) return;
     this.picked = this.picked.length === 2 ? [found] : [...this.picked, found];
     this.marks.clear();
     for (const { point } of this.picked) this.marks.add(markAt(point, 0.02 * this.radius, 0xff00aa));
     if (this.picked.length === 2) this.marks.add(lineLayer(this.picked.map((p) => p.point), 0xff00aa));
-    this.say(this.describePicked());
+    this.say(this.describePicked(), this.picked.map(({ point }) => point));
     this.draw();
   }
 
@@ -314,12 +348,37 @@ export class View {
     return height >= low && height <= high;
   }
 
+  // The nearest triangle that faces the ray (Möller and Trumbore, Fast, minimum storage ray-triangle intersection, 1997).
+  pickSurface(origin, direction) {
+    const { surface } = this.data;
+    if (!this.layers.surface?.object.visible) return null;
+    const minus = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+    const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+    let best = null;
+    for (let i = 0; i < surface.triangles.length; i += 3) {
+      const [a, b, c] = [0, 1, 2].map((k) => surface.at(surface.triangles[i + k]));
+      const [ab, ac, from] = [minus(b, a), minus(c, a), minus(origin, a)];
+      const across = cross(direction, ac);
+      const facing = dot(ab, across);
+      if (facing <= 0) continue;
+      const u = dot(from, across) / facing;
+      const over = cross(from, ab);
+      const v = dot(direction, over) / facing;
+      const along = dot(ac, over) / facing;
+      if (u < 0 || v < 0 || u + v > 1 || along <= 0 || (best && along >= best.along)) continue;
+      const point = origin.map((value, k) => value + along * direction[k]);
+      if (this.isShown(point[2])) best = { along, point };
+    }
+    return best && { point: best.point, text: 'surface' };
+  }
+
   pickCell(origin, direction) {
     const { occupied } = this.data;
     if (!this.layers.cells?.object.visible) return null;
     let best = null;
     for (let i = 0; i < occupied.count; i++) {
-      const centre = occupied.centre(i);
+      const centre = occupied.at(i);
       if (!this.isShown(centre[2])) continue;
       const half = occupied.edge(i) / 2;
       const distance = entry(origin, direction, centre.map((c) => c - half), centre.map((c) => c + half));

@@ -1,7 +1,8 @@
 //! Cells of a map as a block of integers.
 
 use crate::picture::base64;
-use monogrid_occupancy::{MapError, Occupancy, OccupancyMap, probability_from_log_odds};
+use crate::surface::CellColours;
+use monogrid_occupancy::{MapError, Occupancy, OccupancyMap, VoxelKey, probability_from_log_odds};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -25,6 +26,9 @@ pub struct Cells {
     pub smallest: u32,
     /// Occupied cubes.
     pub occupied: String,
+    /// Red, green and blue of each occupied cube, bytes in base64.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub colours: Option<String>,
     /// Free cubes.
     pub free: String,
 }
@@ -38,8 +42,8 @@ struct Cube {
 }
 
 impl Cells {
-    /// The known cells of a map.
-    pub fn new(map: &OccupancyMap) -> Result<Self, MapError> {
+    /// The known cells of a map, in these colours.
+    pub fn new(map: &OccupancyMap, colours: Option<&CellColours>) -> Result<Self, MapError> {
         let (mut occupied, mut free) = (Vec::new(), Vec::new());
         map.for_each_leaf(|leaf| {
             let cubes = match map.state_of(leaf.first) {
@@ -63,19 +67,37 @@ impl Cells {
             free_level += 1;
             free.retain(|cube| cube.level >= free_level);
         }
-        Ok(Self::pack(map, level, &occupied, &free))
+        let mut cells = Self::pack(map, level, &occupied, &free);
+        cells.colours = colours.map(|colours| {
+            let shown = occupied.iter().filter(|cube| cells.holds(cube));
+            let colours: Vec<[u8; 3]> = shown.map(|cube| colours.of(cube.middle())).collect();
+            base64(colours.as_flattened())
+        });
+        Ok(cells)
+    }
+
+    /// Whether a cube is near enough to the first cell to have a place.
+    fn holds(&self, cube: &Cube) -> bool {
+        (0..3).all(|axis| within(cube.first[axis], self.first[axis]).is_some())
     }
 
     fn pack(map: &OccupancyMap, level: u32, occupied: &[Cube], free: &[Cube]) -> Self {
         let all = || occupied.iter().chain(free);
         let first =
             [0, 1, 2].map(|axis| all().map(|cube| cube.first[axis]).min().unwrap_or_default());
-        // 65,536 cells along an axis are more than OctoMap files hold
-        let fits =
-            |cube: &&Cube| (0..3).all(|axis| within(cube.first[axis], first[axis]).is_some());
+        let mut cells = Self {
+            edge: map.resolution(),
+            first,
+            count: [0; 2],
+            smallest: 1 << level,
+            occupied: String::new(),
+            colours: None,
+            free: String::new(),
+        };
         let block = |cubes: &[Cube]| {
             let mut bytes = Vec::with_capacity(cubes.len() * 8);
-            for cube in cubes.iter().filter(fits) {
+            // 65,536 cells along an axis are more than OctoMap files hold
+            for cube in cubes.iter().filter(|cube| cells.holds(cube)) {
                 for (cell, first) in cube.first.iter().zip(first) {
                     let cell = within(*cell, first).unwrap_or_default();
                     bytes.extend(cell.to_le_bytes());
@@ -83,16 +105,21 @@ impl Cells {
                 let probability = (cube.probability * 255.0).round() as u8;
                 bytes.extend([probability, cube.level as u8]);
             }
-            base64(&bytes)
+            (bytes.len() / 8, base64(&bytes))
         };
-        Self {
-            edge: map.resolution(),
-            first,
-            count: [occupied, free].map(|cubes| cubes.iter().filter(fits).count()),
-            smallest: 1 << level,
-            occupied: block(occupied),
-            free: block(free),
-        }
+        let [(num_occupied, occupied), (num_free, free)] = [block(occupied), block(free)];
+        cells.count = [num_occupied, num_free];
+        (cells.occupied, cells.free) = (occupied, free);
+        cells
+    }
+}
+
+impl Cube {
+    /// The cell in its middle.
+    fn middle(&self) -> VoxelKey {
+        let half = (1 << self.level) / 2;
+        let [x, y, z] = self.first.map(|cell| cell + half);
+        VoxelKey::new(x, y, z)
     }
 }
 
@@ -120,7 +147,7 @@ fn merged(cubes: &[Cube], level: u32) -> Vec<Cube> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use monogrid_occupancy::{MapConfig, VoxelKey};
+    use monogrid_occupancy::MapConfig;
 
     #[test]
     fn a_cube_is_its_place_its_size_and_its_probability() {
@@ -131,7 +158,12 @@ mod tests {
             let key = VoxelKey::new(cell & 1, cell >> 1 & 1, cell >> 2);
             map.set_log_odds(key, Some(-1.0)).unwrap();
         }
-        let cells = Cells::new(&map).unwrap();
+        let cells = Cells::new(&map, Some(&CellColours::unknown())).unwrap();
+        assert_eq!(
+            cells.colours,
+            Some(base64(&[128; 3])),
+            "of one occupied cube"
+        );
         assert_eq!(cells.first, [-3, 0, 0]);
         assert_eq!((cells.count, cells.smallest), ([1, 1], 1));
         // 0.88 of 255 and level 0 at (0, 2, 7); 0.27 and level 1 at (3, 0, 0)

@@ -1,6 +1,9 @@
 //! What there is to explore.
 
 use super::{Cells, Cloud, PageMesh};
+use crate::picture::base64;
+use crate::picture::plan::Plan;
+use monogrid_datasets::encode_png_rgb;
 use monogrid_geometry::{Pinhole, Sim3};
 use serde::Serialize;
 
@@ -19,6 +22,9 @@ pub struct Scene {
     /// Surface of the map.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mesh: Option<PageMesh>,
+    /// The map from above.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub plan: Option<PagePlan>,
     /// Camera of the keyframes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub camera: Option<Camera>,
@@ -37,6 +43,33 @@ pub struct Scene {
     /// Height above which cells hide the room.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cut: Option<f64>,
+}
+
+/// The map from above, as `plan.png` shows it.
+#[derive(Clone, Debug, Serialize)]
+pub struct PagePlan {
+    /// Lower left corner.
+    pub low: [f64; 2],
+    /// Width and height.
+    pub size: [f64; 2],
+    /// Lowest and highest z of the cells.
+    pub band: [f64; 2],
+    /// Obstacles, free space and the unknown in three tones, PNG in base64.
+    pub image: String,
+}
+
+impl PagePlan {
+    /// The plan of the cells between two heights.
+    pub fn new(plan: &Plan, band: [f64; 2]) -> Self {
+        let cells = plan.cells();
+        let sides = [cells.picture.width(), cells.picture.height()];
+        Self {
+            low: cells.low,
+            size: sides.map(|pixels| pixels as f64 * cells.edge),
+            band,
+            image: base64(&encode_png_rgb(&cells.picture)),
+        }
+    }
 }
 
 /// A camera without distortion.

@@ -2,6 +2,7 @@
 
 pub mod colour;
 pub mod keyframe;
+pub mod plan;
 pub mod slice;
 pub mod voxels;
 

@@ -155,7 +155,7 @@ impl Shown {
         if sent.is_some_and(|sent| sent.elapsed() < CELLS_EVERY) {
             return None;
         }
-        let cells = Cells::new(&self.live.latest_map()?.global).ok();
+        let cells = Cells::new(&self.live.latest_map()?.global, None).ok();
         *sent = Some(Instant::now());
         cells
     }

@@ -7,7 +7,9 @@ use crate::run::summary::unit_name;
 use monogrid_datasets::encode_png_rgb;
 use monogrid_mapping::{Maps, MeshConfig, navigation_band};
 use monogrid_occupancy::{MapFormat, OccupancyMap, Projection, VoxelKey, write_ply};
+use monogrid_report::explorer::PagePlan;
 use monogrid_report::picture::colour::quantile;
+use monogrid_report::picture::plan::Plan;
 use monogrid_report::picture::voxels::{Cube, View, dollhouse_cut, occupied_cubes, render};
 use monogrid_report::surface::{CellColours, ColouredMesh, MeshFormat};
 
@@ -22,8 +24,8 @@ pub struct MapPictures {
     pub cut: Option<f64>,
     /// Surface of the global map, where it was asked for.
     pub mesh: Option<ColouredMesh>,
-    /// Lowest and highest z of the map seen from above.
-    pub band: Option<[f64; 2]>,
+    /// The map from above.
+    pub plan: Option<PagePlan>,
 }
 
 /// Writes the maps in all formats, and pictures of them; those of what loops corrected where the
@@ -82,11 +84,11 @@ pub fn write_global(
 ) -> Result<(Vec<Cube>, MapPictures), Failure> {
     let draw = || {
         let cubes = occupied_cubes(global).while_running("the map cannot be projected")?;
-        let band = write_grid(folder, global, &cubes, path, ground)?;
+        let plan = write_grid(folder, global, &cubes, path, ground)?;
         let cut = dollhouse_cut(&cubes, path);
         let preview = encode_png_rgb(&render(&cubes, path, cut, &View::default()));
         folder.write("preview.png", &preview)?;
-        Ok::<_, Failure>((cubes, preview, cut, band))
+        Ok::<_, Failure>((cubes, preview, cut, plan))
     };
     let rest = || {
         rayon::join(
@@ -96,13 +98,13 @@ pub fn write_global(
     };
     let (drawn, (mesh, written)) = rayon::join(draw, rest);
     written?;
-    let (cubes, preview, cut, band) = drawn?;
+    let (cubes, preview, cut, plan) = drawn?;
     let pictures = MapPictures {
         preview,
         loops: None,
         cut,
         mesh: mesh?,
-        band,
+        plan,
     };
     Ok((cubes, pictures))
 }
@@ -194,14 +196,14 @@ pub struct Ground {
     pub is_metric: bool,
 }
 
-/// Writes the map seen from above; the heights that it shows.
+/// Writes the map seen from above for robots and for people.
 fn write_grid(
     folder: &OutputFolder,
     map: &OccupancyMap,
     cubes: &[Cube],
     path: &[[f64; 3]],
     ground: Ground,
-) -> Result<Option<[f64; 2]>, Failure> {
+) -> Result<Option<PagePlan>, Failure> {
     let heights = cubes.iter().map(|cube| cube.center[2]);
     let Some((grid, band)) = seen_from_above(map, heights, path, ground) else {
         return Ok(None);
@@ -209,7 +211,14 @@ fn write_grid(
     folder.write("map.pgm", grid.to_pgm())?;
     let note = grid_note(band, ground);
     folder.write("map.yaml", grid.to_yaml("map.pgm") + &note)?;
-    Ok(Some(band))
+    let plan = Plan {
+        grid: &grid,
+        path,
+        is_metric: ground.is_metric,
+    };
+    folder.write("plan.png", plan.png())?;
+    folder.write("plan.svg", plan.svg())?;
+    Ok(Some(PagePlan::new(&plan, band)))
 }
 
 /// The map seen from above, of the heights that matter, and these; `heights` are those of its

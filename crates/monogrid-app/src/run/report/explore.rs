@@ -24,7 +24,8 @@ pub(super) fn scene(tracked: &Tracked, input: &ReportInput) -> anyhow::Result<Sc
         let groups = point_groups(keyframes, input.colours);
         cloud_and_keyframes(keyframes, &groups, input.colours, begin)
     };
-    let (cells, (cloud, shown)) = rayon::join(|| input.map.map(Cells::new).transpose(), points);
+    let cells = |map| Cells::new(map, Some(input.cell_colours));
+    let (cells, (cloud, shown)) = rayon::join(|| input.map.map(cells).transpose(), points);
     let ids = shown.iter().map(|keyframe| u64::from(keyframe.id));
     let positions: BTreeMap<u64, usize> = ids.zip(0..).collect();
     let image = keyframes.first().and_then(|keyframe| keyframe.image);
@@ -37,6 +38,7 @@ pub(super) fn scene(tracked: &Tracked, input: &ReportInput) -> anyhow::Result<Sc
         cells: cells?,
         mesh: mesh.and_then(|(map, mesh)| PageMesh::new(mesh, map.resolution())),
         cloud: (cloud.count[0] > 0).then_some(cloud),
+        plan: pictures.and_then(|pictures| pictures.plan.clone()),
         camera: size.map(|size| Camera::new(slam.pinhole(), size)),
         keyframes: shown,
         links: links(tracked, &positions),

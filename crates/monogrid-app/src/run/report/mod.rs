@@ -12,6 +12,7 @@ use monogrid_report::Page;
 use monogrid_report::colours::Colours;
 use monogrid_report::explorer::{self, ShownKeyframe};
 use monogrid_report::picture::keyframe::{Measured, depth_picture, uncertainty_picture};
+use monogrid_report::surface::CellColours;
 use monogrid_report::svg::{Plot, Series, number};
 
 use monogrid_datasets::{encode_png, encode_png_rgb};
@@ -46,6 +47,8 @@ pub struct ReportInput<'a> {
     pub keyframes: &'a [ShownKeyframe<'a>],
     /// What is known of their colours.
     pub colours: &'a Colours,
+    /// Colours of the cells.
+    pub cell_colours: &'a CellColours,
     /// Pictures of the maps.
     pub pictures: Option<MapPictures>,
     /// The effective configuration.

@@ -6,16 +6,15 @@ use monogrid_app::args::WriteArgs;
 use monogrid_app::mapfile;
 use monogrid_app::output::{Inputs, OutputFile};
 use monogrid_app::process::failure::{Classify, CommandResult, Failure, Outcome};
+use monogrid_app::process::talk;
 use monogrid_app::recorded::Recorded;
 use monogrid_app::run::align::{Align, Up};
 use monogrid_app::run::sessions::Source;
-use monogrid_datasets::{RecordedKeyframe, encode_png_rgb};
-use monogrid_mapping::{ImageOf, KeyframeCamera, MeshConfig};
+use monogrid_datasets::encode_png_rgb;
+use monogrid_mapping::MeshConfig;
 use monogrid_report::Page;
-use monogrid_report::colours::Colours;
 use monogrid_report::explorer::{
-    Answer, Camera, Cells, Cloud, CloudPoint, POLICY, PageMesh, Scene, SemiDense, Server,
-    ShownKeyframe, cloud_and_keyframes, point_groups, section,
+    Answer, Cells, Cloud, CloudPoint, POLICY, PageMesh, Scene, Server, section,
 };
 use monogrid_report::picture::colour::quantile;
 use monogrid_report::picture::voxels::{Cube, View, dollhouse_cut, occupied_cubes, render};
@@ -83,6 +82,7 @@ pub fn execute(args: &ViewArgs) -> CommandResult {
         ctrlc::set_handler(|| STOP.store(true, Ordering::Relaxed)).map_err(Failure::running)?;
         // also where the page is one that somebody else wrote
         let page = Answer::page(page, POLICY);
+        let _resting = talk::rest();
         let serving = server.start(move |path| (path == "/").then(|| page.clone()))?;
         while !STOP.load(Ordering::Relaxed) && !serving.is_dead() {
             std::thread::sleep(Duration::from_millis(20));
@@ -201,7 +201,7 @@ impl Shown {
 fn of_map(source: &Path) -> Result<(Scene, Vec<Cube>), Failure> {
     let (map, _) = mapfile::load(source)?;
     let cubes = occupied_cubes(&map).while_running("the map cannot be drawn")?;
-    let cells = Cells::new(&map).while_running("the map cannot be drawn")?;
+    let cells = Cells::new(&map, None).while_running("the map cannot be drawn")?;
     let mesh = CellColours::unknown()
         .mesh(&map, &MeshConfig::default())
         .ok();
@@ -242,38 +242,8 @@ fn of_points(source: &Path) -> Result<(Scene, Vec<Cube>), Failure> {
 /// The depth of the keyframes as it was recorded.
 fn of_recording(source: &Path) -> Result<(Scene, Vec<Cube>), Failure> {
     let recorded = Recorded::read(source, &Align::Level(Up::Scene))?;
-    let camera = recorded.session.camera();
-    let colours = Colours::of(&recorded.keyframes);
-    let posed = recorded.keyframes.iter().filter_map(|keyframe| {
-        let RecordedKeyframe { id, camera, .. } = keyframe;
-        let camera = KeyframeCamera::new(camera.pinhole, (camera.width, camera.height));
-        let pose = recorded.frame.map_from_world * keyframe.world_from_keyframe?;
-        Some(ShownKeyframe {
-            frame_index: keyframe.frame_index,
-            timestamp_ns: keyframe.timestamp_ns,
-            map_from_keyframe: pose,
-            pinhole: keyframe.camera.pinhole,
-            image: keyframe.image.as_ref().map(ImageOf::Held),
-            semi_dense: SemiDense::recorded(*id, camera, &keyframe.pixels),
-        })
-    });
-    let posed: Vec<ShownKeyframe> = posed.collect();
-    let groups = point_groups(&posed, &colours);
-    let begin = posed.first().map_or(0, |keyframe| keyframe.timestamp_ns);
-    let (cloud, keyframes) = cloud_and_keyframes(&posed, &groups, &colours, begin);
-    let cubes = small_cubes(&groups.concat());
-    let path = posed.iter().map(|keyframe| {
-        let [x, y, z] = <[f64; 3]>::from(keyframe.map_from_keyframe.translation);
-        (keyframe.frame_index as usize, x as f32, y as f32, z as f32)
-    });
-    let scene = Scene {
-        cloud: Some(cloud),
-        camera: Some(Camera::new(&camera.pinhole, [camera.width, camera.height])),
-        keyframes,
-        path: path.collect(),
-        ..Scene::default()
-    };
-    Ok((scene, cubes))
+    let (scene, points) = recorded.scene();
+    Ok((scene, small_cubes(&points)))
 }
 
 /// Points as cubes that can be seen in a picture.

@@ -65,7 +65,9 @@ pub fn execute(args: &MergeRunsArgs) -> CommandResult {
     let written = written.map(|component| write_component(&folder, component, &parts));
     let written: Vec<Written> = written.collect::<Result<_, _>>()?;
     let summary = summary(&parts, &owners, &merged.meetings, &written, &config);
-    let summary = write_maps(&folder, summary, &written[0].path, args.resolution, threads)?;
+    let lead = format!("Merged from {} runs.", parts.len());
+    let path = &written[0].path;
+    let summary = write_maps(&folder, (summary, &lead), path, args.resolution, threads)?;
     let json = args.write.json;
     json.print(&summary, || print_summary(&args.out, &summary))?;
     Ok(match components.len() {

@@ -21,8 +21,11 @@ use monogrid_datasets::{
     read_trajectory,
 };
 use monogrid_geometry::Sim3;
+use monogrid_report::Page;
+use monogrid_report::explorer::{Cells, PageMesh, Scene, write_section};
 use scale::{Results, ScaleFrom};
 use serde_json::{Value, json};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// `monogrid rescale`.
@@ -108,7 +111,9 @@ pub fn execute(args: &RescaleArgs) -> CommandResult {
     let mut summary = rescaled_summary(summary, factor);
     summary["georeference"] = json!(georeference.as_ref().map(Georeference::summary));
     let path = path_of(&poses);
-    let summary = write_maps(&folder, summary, &path, args.resolution, threads)?;
+    let run = args.run.display();
+    let lead = format!("In metres: one map unit of {run} is {factor:.4} m.");
+    let summary = write_maps(&folder, (summary, &lead), &path, args.resolution, threads)?;
     let report = json!({
         "metres_per_map_unit": factor,
         "map": summary["map"],
@@ -238,10 +243,11 @@ fn append(
 }
 
 /// Builds the maps of the recording in a folder, beside which its frame lies, around where the
-/// camera was, and writes `summary.json` with what is known and facts about the maps; that summary.
+/// camera was, and writes `summary.json` with what is known and facts about the maps, and a report
+/// that begins with `lead`; that summary.
 pub fn write_maps(
     folder: &OutputFolder,
-    mut summary: Value,
+    (mut summary, lead): (Value, &str),
     path: &[[f64; 3]],
     resolution: Option<f64>,
     threads: usize,
@@ -265,17 +271,33 @@ pub fn write_maps(
     let centre = path.last().copied().unwrap_or_default();
     let local = global.within(centre, config.local_radius);
     let local = local.while_running(doing)?;
+    let colours = &recorded.cell_colours(&scans, global.resolution());
     let surface = Surface {
-        colours: &recorded.cell_colours(&scans, global.resolution()),
+        colours,
         config: &config.mesh,
     };
     let (_, pictures) = write_global(folder, [&global, &local], path, ground, surface)?;
+    let (scene, _) = recorded.scene();
+    let mesh = pictures.mesh.as_ref();
+    let scene = Scene {
+        cells: Some(Cells::new(&global, Some(colours)).while_running(doing)?),
+        mesh: mesh.and_then(|mesh| PageMesh::new(mesh, global.resolution())),
+        plan: pictures.plan.clone(),
+        cut: pictures.cut,
+        ..scene
+    };
+    folder.write_with("report.html", |out| {
+        let title = format!("monogrid: {}", recorded.session.source);
+        let explorer = |out: &mut dyn Write| write_section(out, &scene);
+        let page = Page::default();
+        Ok(page.write_around(out, (&title, lead), explorer, &page)?)
+    })?;
     summary["map"] = json!({
         "resolution": global.resolution(),
         "leaves": global.leaf_count(),
         "bytes_in_memory": global.bytes_in_memory(),
         "cell": null,
-        "band": pictures.band,
+        "band": pictures.plan.map(|plan| plan.band),
     });
     let text = serde_json::to_string_pretty(&summary).map_err(Failure::running)?;
     folder.write(SUMMARY, text + "\n")?;
