@@ -7,7 +7,7 @@ use crate::cli::{Cli, Command, EvaluateCommand, command};
 use crate::{batch, commands};
 use monogrid_app::config::RunConfig;
 use monogrid_app::process::failure::CommandResult;
-use monogrid_app::process::{failure, memory, usage};
+use monogrid_app::process::{failure, memory, talk, usage};
 use monogrid_pipeline::Settings;
 use std::error::Error;
 use std::ffi::OsString;
@@ -28,6 +28,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Ok(cli) => cli,
         Err(error) => return failure::usage(&error),
     };
+    talk::begin("working");
     failure::exit_code(failure::caught(|| execute(&cli)))
 }
 

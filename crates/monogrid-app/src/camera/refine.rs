@@ -6,11 +6,15 @@ use crate::config::RunConfig;
 use crate::input::Input;
 use crate::process::failure::{Classify, Failure};
 use crate::process::interrupt::is_interrupted;
+use crate::process::talk;
+use crate::run::tracking::progress::watched;
 use monogrid_calibration::{Estimate, Intrinsics, Parameters};
 use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2};
-use monogrid_pipeline::{ReadOn, Reading, SourceFrame, read_ahead};
+use monogrid_pipeline::{ReadFrame, ReadOn, Reading, SourceFrame, read_ahead};
 use monogrid_slam::{FrameInput, Slam};
+use std::io::IsTerminal;
 use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Length of the first pass: half a minute, after which more says little more, of a video with many
 /// frames per second too; where there are few, as many as half a minute has at 30 per second.
@@ -30,6 +34,7 @@ const CENTRE_FREEDOM: f64 = 5.0;
 /// the map shows; where that is too little, the camera stays as it is.
 pub fn refine(input: &mut Input, config: &RunConfig) -> Result<(), Failure> {
     eprintln!("a first pass over the video refines the camera");
+    talk::doing("what the images show of the rolling shutter");
     if input.own_calibration.is_none()
         && input.preparation.readout_ms() == 0.0
         && let Some(readout_ms) = shown_readout_ms(input)
@@ -41,6 +46,7 @@ pub fn refine(input: &mut Input, config: &RunConfig) -> Result<(), Failure> {
     if is_interrupted() {
         return Ok(());
     }
+    talk::doing("the map of the first pass is adjusted");
     slam.finish();
     let preparation = &input.preparation;
     let taken_out = TakenOut::always(preparation.readout_ms(), preparation.readout_direction());
@@ -109,10 +115,12 @@ fn first_pass(
         .map_err(Failure::input)?;
     let mut posed = Vec::new();
     let frames = beginning(input.source(None)).take(max_frames);
-    read_ahead(frames, &input.preparation, Reading::default(), |frame| {
+    let total = input.expected_frames().unwrap_or(0).min(max_frames);
+    let mut take = |done: &AtomicUsize, frame: ReadFrame| {
         if is_interrupted() {
             return ControlFlow::Break(());
         }
+        done.fetch_add(1, Ordering::Relaxed);
         let report = frame.image.and_then(Result::ok).map(|image| {
             slam.process_frame(FrameInput {
                 index: frame.index,
@@ -123,8 +131,20 @@ fn first_pass(
         });
         posed.push(report.is_some_and(|report| report.world_from_camera.is_some()));
         ControlFlow::Continue(ReadOn::AsBefore)
-    })
-    .while_running("frames cannot be read")?;
+    };
+    let what = ("first pass", "frames", total);
+    let is_terminal = std::io::stderr().is_terminal();
+    let read = watched(
+        what,
+        is_terminal,
+        || {},
+        |done| {
+            read_ahead(frames, &input.preparation, Reading::default(), |frame| {
+                take(done, frame)
+            })
+        },
+    );
+    read.while_running("frames cannot be read")?;
     Ok((slam, posed))
 }
 

@@ -7,6 +7,7 @@
 //! Names of files, topics and frames come from outside and may hold what a terminal obeys. All text
 //! goes through [`printable`].
 
+use super::talk;
 pub use monogrid_datasets::printable;
 use std::fmt::{self, Arguments, Write as _};
 use std::io::{self, Write};
@@ -17,7 +18,7 @@ static FAILED: OnceLock<io::Error> = OnceLock::new();
 
 /// Text to standard output.
 pub fn out(text: Arguments) {
-    if let Err(error) = write_printable(io::stdout().lock(), text) {
+    if let Err(error) = talk::said(|| write_printable(io::stdout().lock(), text)) {
         // the first one is kept
         let _ = FAILED.set(error);
     }
@@ -25,7 +26,7 @@ pub fn out(text: Arguments) {
 
 /// Text to standard error; nothing if nobody reads it.
 pub fn err(text: Arguments) {
-    let _ = write_printable(io::stderr().lock(), text);
+    let _ = talk::said(|| write_printable(io::stderr().lock(), text));
 }
 
 fn write_printable(mut to: impl Write, text: Arguments) -> io::Result<()> {

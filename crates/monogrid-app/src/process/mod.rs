@@ -7,6 +7,7 @@ pub mod failure;
 pub mod interrupt;
 pub mod memory;
 pub mod progress;
+pub mod talk;
 pub mod usage;
 
 use failure::Failure;

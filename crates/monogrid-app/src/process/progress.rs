@@ -1,5 +1,6 @@
 //! Progress over things that are done one by one: a bar on a terminal, a line for each.
 
+use super::talk::{self, Rest};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// A bar that is drawn so many times per second, or never.
@@ -19,6 +20,8 @@ pub fn bar(count: usize, template: &str, hz: Option<u8>) -> ProgressBar {
 #[derive(Debug)]
 pub struct Progress {
     bar: ProgressBar,
+    /// A bar that is drawn is enough.
+    _resting: Option<Rest>,
 }
 
 impl Progress {
@@ -26,7 +29,11 @@ impl Progress {
     pub fn new(count: usize, of: &str, is_shown: bool) -> Self {
         let template = format!("{{bar:30}} {{pos}}/{{len}} {of} · {{elapsed}} gone, {{eta}} to go");
         let bar = bar(count, &template, is_shown.then_some(4));
-        Self { bar }
+        talk::doing(of);
+        Self {
+            bar,
+            _resting: is_shown.then(talk::rest),
+        }
     }
 
     /// One more is done: what there is to say of it.

@@ -5,6 +5,7 @@ use crate::output::OutputFolder;
 use crate::process::failure::{Failure, Outcome};
 use crate::process::interrupt;
 use crate::process::memory;
+use crate::process::talk;
 use crate::process::usage::{peak_rss_bytes, process_cpu};
 use crate::run::align::{Align, MapFrame, Scene};
 use crate::run::conclusion::verdict;
@@ -93,8 +94,10 @@ fn run_watched(
     let salvage = Salvage::watch(&input.name, folder, settings)?;
     let mut tracked = track(input, folder, settings, viewer, Some(&salvage))?;
     let scans = final_depth(&mut tracked, settings);
+    talk::doing("which way is up, and where the results are");
     let mut looked = Looked::at(&tracked, &scans, align, input, settings);
     let (known, not_compared) = known_path(input, align, &tracked, &mut looked.frame);
+    talk::doing("poses, colours and points are written");
     let poses = outputs::final_poses(&tracked, &looked.frame);
     outputs::write_tables(folder, &tracked, &looked.frame, &poses, settings)?;
     outputs::write_bridged(folder, &looked.sensed.bridged, &looked.frame)?;
@@ -114,6 +117,7 @@ fn run_watched(
         Ok(maps) => (maps, early_failure(&tracked)),
         Err(error) => (None, Some(error)),
     };
+    talk::doing("maps and the surface are written");
     let write = |maps| {
         let (colours, config) = (&cell_colours, &mapping.mesh);
         let surface = Surface { colours, config };
@@ -121,10 +125,12 @@ fn run_watched(
         outputs::write_maps(folder, maps, &paths, ground, surface)
     };
     let pictures = maps.as_ref().map(write).transpose()?;
+    talk::doing("the map is judged");
     let mut extras = extras(&tracked, maps.as_ref())?;
     (extras.warnings).extend(tracked.warnings.iter().cloned().chain(not_compared));
     let mut summary = summary(input, settings, &tracked, &looked, maps.as_ref(), extras);
-    summary.map.band = pictures.as_ref().and_then(|drawn| drawn.band);
+    let plan = pictures.as_ref().and_then(|drawn| drawn.plan.as_ref());
+    summary.map.band = plan.map(|plan| plan.band);
     let verdict = verdict(&summary, &tracked);
     let report = ReportInput {
         title: &format!("monogrid: {}", input.name),
@@ -136,9 +142,11 @@ fn run_watched(
         map: maps.as_ref().map(|maps| &maps.global),
         keyframes: &shown,
         colours: &colours,
+        cell_colours: &cell_colours,
         pictures,
         config: &config,
     };
+    talk::doing("the report is written");
     play(folder, &report, settings, &tracked, &poses)?;
     folder.write_with("report.html", |out| write_page(out, &tracked, &report))?;
     write_summary(folder, &mut summary)?;
@@ -369,7 +377,7 @@ fn final_depth(tracked: &mut Tracked, settings: &RunSettings) -> Vec<KeyframeSca
             limit.apply_to(&keyframes);
         }
     };
-    let what = ("final depth", count);
+    let what = ("final depth", "keyframes", count);
     let scans = match tracked.early_end {
         // nobody waits for better depth
         Some(EarlyEnd::Interrupted) => tracked.run.filter_scans(),
@@ -475,7 +483,8 @@ fn final_maps(
     let frames: Vec<TrackedFrame> = frames.map(tracked_frame).collect();
     let edge = looked.cell.map(|cell| cell.edge);
     let run = &mut tracked.run;
-    let (what, map_from_world) = (("final maps", scans.len()), &looked.frame.map_from_world);
+    let what = ("final maps", "keyframes", scans.len());
+    let map_from_world = &looked.frame.map_from_world;
     let work = |done: &AtomicUsize| {
         let more = (frames.as_slice(), edge);
         run.maps_of(scans, map_from_world, camera, more, done)

@@ -3,7 +3,7 @@
 mod frame_log;
 pub mod frames;
 pub mod memory_limit;
-pub(crate) mod progress;
+pub mod progress;
 pub mod recorder;
 pub(crate) mod salvage;
 pub mod submaps;
@@ -17,6 +17,7 @@ use crate::input::seen::{no_map, watch_of_working_images};
 use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
 use crate::process::failure::{Failure, render};
 use crate::process::memory;
+use crate::process::talk;
 use crate::process::usage::process_cpu;
 use crate::run::RunSettings;
 use crate::run::live::Viewer;
@@ -317,6 +318,7 @@ impl<'a> Tracking<'a> {
         salvage: Option<&Salvage>,
     ) -> Result<Tracked, Failure> {
         self.progress.finish();
+        talk::doing("final adjustment of all poses");
         let rows = self.rows.finish()?;
         if let Some(salvage) = salvage {
             let size = self.pipeline.preparation().size();

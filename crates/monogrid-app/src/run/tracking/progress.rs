@@ -1,6 +1,7 @@
 //! Progress on standard error: a bar on a terminal, a line now and then elsewhere.
 
 use crate::process::progress;
+use crate::process::talk::{self, LINE_EVERY, Rest};
 use crate::run::tracking::frames::{FrameFate, FrameRow};
 use indicatif::ProgressBar;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -17,10 +18,10 @@ pub struct Progress {
     last_line: Option<Instant>,
     num_done: usize,
     num_warnings: usize,
+    /// Until the last frame the bar talks.
+    resting: Option<Rest>,
 }
 
-/// Time between lines where there is no terminal.
-const LINE_EVERY: Duration = Duration::from_secs(10);
 /// Time between looks at work of which others count what is done.
 const LOOK_EVERY: Duration = Duration::from_millis(250);
 
@@ -36,6 +37,7 @@ impl Progress {
             last_line: (!show).then(Instant::now),
             num_done: 0,
             num_warnings: 0,
+            resting: Some(talk::rest()),
         }
     }
 
@@ -78,39 +80,44 @@ impl Progress {
     }
 
     /// Removes the bar.
-    pub fn finish(&self) {
+    pub fn finish(&mut self) {
         self.bar.finish_and_clear();
+        self.resting = None;
         if self.num_warnings > MAX_WARNINGS {
             eprintln!("warning: {} more", self.num_warnings - MAX_WARNINGS);
         }
     }
 }
 
-/// Does work that counts its keyframes, and says meanwhile how far it is and how long it will take;
-/// `look` is called each time.
+/// Does work that counts keyframes or something else of which there are so many (0 where that is not
+/// known), and says meanwhile how far it is and how long it will take; `look` is called each time.
 pub fn watched<T>(
-    (what, num_keyframes): (&str, usize),
+    (what, of, total): (&str, &str, usize),
     show: bool,
     look: impl Fn() + Send,
     work: impl FnOnce(&AtomicUsize) -> T,
 ) -> T {
+    let _resting = talk::rest();
     let done = &AtomicUsize::new(0);
     let (ended, wait) = channel::<()>();
     thread::scope(|scope| {
         scope.spawn(move || {
-            let bar = bar(num_keyframes, &format!("keyframes · {what}"), show);
+            let bar = bar(total, &format!("{of} · {what}"), show);
             let begin = Instant::now();
             let mut last_line = begin;
             // an end of the work closes the channel
             while wait.recv_timeout(LOOK_EVERY) == Err(RecvTimeoutError::Timeout) {
                 look();
                 let num_done = done.load(Ordering::Relaxed);
-                let left = left(num_done, num_keyframes, begin.elapsed());
+                let left = left(num_done, total, begin.elapsed());
                 bar.set_position(num_done as u64);
                 bar.set_message(left.clone());
                 if !show && last_line.elapsed() >= LINE_EVERY {
                     last_line = Instant::now();
-                    eprintln!("{what}: {num_done} of {num_keyframes} keyframes{left}");
+                    match total {
+                        0 => eprintln!("{what}: {num_done} {of}"),
+                        _ => eprintln!("{what}: {num_done} of {total} {of}{left}"),
+                    }
                 }
             }
             bar.finish_and_clear();
@@ -165,7 +172,7 @@ mod tests {
     #[test]
     fn watched_work_gives_its_result() {
         let result = watched(
-            ("counting", 3),
+            ("counting", "sheep", 3),
             false,
             || {},
             |done| done.fetch_add(3, Ordering::Relaxed) + 7,

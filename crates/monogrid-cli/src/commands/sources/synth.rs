@@ -7,6 +7,7 @@ use clap::{Args, ValueEnum};
 use monogrid_app::args::{JsonArg, positive, readout_ms, size};
 use monogrid_app::output::{Inputs, OutputFolder};
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
+use monogrid_app::run::tracking::progress::watched;
 use monogrid_datasets::{Calibration, read_trajectory};
 use monogrid_geometry::{Camera, Distortion, Pinhole};
 use monogrid_occupancy::MapFormat;
@@ -16,8 +17,10 @@ use monogrid_worlds::{
     write_tum_layout,
 };
 use serde::Serialize;
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 /// What a real camera does to the picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -166,16 +169,23 @@ fn write(args: &SynthArgs, folder: &OutputFolder, sequence: &SynthSequence) -> C
     folder.write_with("truth.ot", |mut out| {
         Ok(MapFormat::Ot.write(&map, &mut out)?)
     })?;
-    let bar = indicatif::ProgressBar::new(sequence.len() as u64);
     let config = WriteConfig {
         depth_every: args.depth_every,
         with_mesh: true,
         baseline_m: args.stereo.unwrap_or(0.0),
     };
-    let written = write_tum_layout(sequence, folder.path(), &config, |done| {
-        bar.set_position(done as u64);
-    });
-    bar.finish_and_clear();
+    let what = ("rendering", "frames", sequence.len());
+    let is_terminal = std::io::stderr().is_terminal();
+    let written = watched(
+        what,
+        is_terminal,
+        || {},
+        |done| {
+            write_tum_layout(sequence, folder.path(), &config, |count| {
+                done.store(count, Ordering::Relaxed);
+            })
+        },
+    );
     let readings = match args.imu {
         true => write_sequence_imu(sequence, folder.path(), &ImuConfig::default()),
         false => Ok(0),
