@@ -1,6 +1,6 @@
 //! Reading and writing map files.
 
-use crate::output::OutputFile;
+use crate::output::{MAP, OutputFile, map_at};
 use crate::process::failure::{Classify, Failure};
 use monogrid_datasets::open_file;
 use monogrid_occupancy::{BRICK_CELLS, MapError, MapFormat, OccupancyMap, read_map};
@@ -26,8 +26,15 @@ const BYTES_PER_BRICK: u64 = 8;
 /// Set in the environment by who trusts a map that is large for its file.
 const LARGE_MAPS: &str = "MONOGRID_LARGE_MAPS";
 
-/// Reads an `.ot`, `.bt` or `.mgo` by its first bytes, whatever its name.
+/// Reads an `.ot`, `.bt` or `.mgo` by its first bytes, whatever its name, or the map of a run.
 pub fn load(path: &Path) -> Result<(OccupancyMap, MapFormat), Failure> {
+    let path = &map_at(path);
+    if path.is_dir() {
+        return Err(Failure::input(format!(
+            "{} holds no {MAP}: expected a map, or the folder of a run that came to one",
+            path.display()
+        )));
+    }
     let (file, bytes) = open_file(path).bad_input()?;
     let is_trusted = is_trusted();
     // what a file may ask for grows with its length
@@ -123,6 +130,18 @@ mod tests {
             assert!(error.contains("may describe 12582912 cells"), "{error}");
             assert!(error.contains("MONOGRID_LARGE_MAPS=1"), "{error}");
         }
+    }
+
+    #[test]
+    fn the_folder_of_a_run_is_its_map() {
+        let folder = tempfile::tempdir().unwrap();
+        let Err(Failure::Input(error)) = load(folder.path()) else {
+            panic!("an empty folder was read");
+        };
+        assert!(error.to_string().contains("holds no global.ot"), "{error}");
+        std::fs::write(folder.path().join(MAP), tree(7, 0)).unwrap();
+        let (map, _) = load(folder.path()).unwrap();
+        assert_eq!(map.resolution(), 0.05);
     }
 
     #[test]

@@ -115,7 +115,7 @@ pub enum Command {
     #[command(after_help = "Example: monogrid check recordings/kitchen")]
     Check(check::CheckArgs),
     /// Look at a map, a cloud or a run: in the browser, as a page or as a picture
-    #[command(after_help = "Example: monogrid view runs/kitchen/global.ot")]
+    #[command(after_help = "Example: monogrid view runs/kitchen")]
     View(view::ViewArgs),
     /// Build an occupancy map from a recording, or from poses and depth from anywhere
     #[command(
@@ -172,7 +172,7 @@ pub enum Command {
     /// Surface of a map as a triangle mesh: .ply, .glb, .obj, .stl, .dxf or .usdz
     #[command(after_help = "Example: monogrid mesh kitchen.ot kitchen.glb")]
     Mesh(tools::MeshArgs),
-    /// Map seen from above as .pgm and .yaml for nav2's map server
+    /// Map seen from above: .pgm and .yaml for nav2's map server, .png or .svg for people
     #[command(
         after_help = "Example: monogrid project kitchen.ot kitchen.pgm --min-height 0.1 \
             --max-height 1.5"
@@ -218,13 +218,11 @@ pub enum EvaluateCommand {
     )]
     Depth(evaluate::EvaluateDepthArgs),
     /// Cells of a map against the true map: ROC, MCC, calibration, surface, four rules for unknown
-    #[command(after_help = "Example: monogrid evaluate map runs/kitchen/global.ot truth.ot")]
+    #[command(after_help = "Example: monogrid evaluate map runs/kitchen truth.ot")]
     Map(evaluate_map::EvaluateMapArgs),
     /// Can a robot plan on the map, and are its plans safe in the true map
-    #[command(
-        after_help = "Example: monogrid evaluate paths runs/kitchen/global.ot truth.ot \
-            --robot-radius 0.2"
-    )]
+    #[command(after_help = "Example: monogrid evaluate paths runs/kitchen truth.ot \
+            --robot-radius 0.2")]
     Paths(evaluate_map::EvaluatePathsArgs),
 }
 

@@ -82,6 +82,8 @@ pub struct TriangleMesh {
     pub triangles: Vec<[u32; 3]>,
     /// Reflectance in [0, 1] per vertex; empty when unknown.
     pub albedo: Vec<f32>,
+    /// Red, green and blue per vertex, as displayed; empty when unknown.
+    pub colours: Vec<[u8; 3]>,
 }
 
 impl World {

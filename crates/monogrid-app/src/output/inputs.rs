@@ -31,6 +31,19 @@ pub(super) fn identity(path: &Path) -> Option<Identity> {
     path.canonicalize().ok()
 }
 
+/// The map in the folder of a run.
+pub const MAP: &str = "global.ot";
+
+/// The map that a path leads to: the file, or that of the run in a folder.
+#[must_use]
+pub fn map_at(path: &Path) -> PathBuf {
+    let map = path.join(MAP);
+    match map.is_file() {
+        true => map,
+        false => path.to_owned(),
+    }
+}
+
 impl Inputs {
     /// One file or folder; `what` names it in sentences.
     pub fn of(what: &'static str, path: impl Into<PathBuf>) -> Self {
@@ -42,7 +55,9 @@ impl Inputs {
     pub fn and(mut self, what: &'static str, path: impl Into<PathBuf>) -> Self {
         let path = path.into();
         if !path.as_os_str().is_empty() {
+            let map = Some(map_at(&path)).filter(|map| *map != path);
             self.read.push((what, path));
+            self.read.extend(map.map(|map| (what, map)));
         }
         self
     }

@@ -544,6 +544,57 @@ fn wall() -> OccupancyMap {
 }
 
 #[test]
+fn the_folder_of_a_run_is_taken_wherever_a_map_is() {
+    let folder = Folder::new();
+    let run = folder.path("run");
+    fs::create_dir(&run).unwrap();
+    let map = folder.write_map("run/global.ot", &wall());
+    let out = |name: &str| folder.path(name);
+    for (k, args) in [
+        vec!["info", &run],
+        vec!["diff", &run, &map],
+        vec!["convert", &run, &out("c.bt")],
+        vec!["crop", &run, &out("d.ot"), "--min=-9,-9,-9", "--max=9,9,9"],
+        vec!["merge", &run, &map, "--out", &out("e.ot")],
+        vec!["mesh", &run, &out("f.ply")],
+        vec!["project", &run, &out("g.svg")],
+        vec!["project", &run, &out("g.png")],
+        vec!["slice", &run, &out("h")],
+        vec!["distances", &run, &out("i.npy"), "--max-distance", "1"],
+        vec!["evaluate", "map", &run, &map],
+        vec!["evaluate", "paths", &run, &map, "--robot-radius", "0.1"],
+        vec!["view", &run, "--html", &out("k.html")],
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let output = monogrid(&args);
+        assert_eq!(code(&output), 0, "{k} {args:?}: {}", stderr(&output));
+    }
+    // what is read is not written over, and an empty folder says what it lacks
+    let args = ["convert", &run, &map, "--force"];
+    assert_fails(&monogrid(args), 2, &["the map"]);
+    let empty = folder.path("empty");
+    fs::create_dir(&empty).unwrap();
+    assert_fails(&monogrid(["info", &empty]), 2, &["holds no global.ot"]);
+}
+
+#[test]
+fn meshes_are_seen_as_surfaces() {
+    let folder = Folder::new();
+    let map = folder.write_map("wall.ot", &wall());
+    for name in ["wall.ply", "wall.glb", "wall.obj"] {
+        let mesh = folder.path(name);
+        let made = ok(&["mesh", &map, &mesh, "--min-faces", "0"]);
+        let page = folder.path(&format!("{name}.html"));
+        let seen = ok(&["view", &mesh, "--html", &page]);
+        assert_eq!(seen["triangles"], made["triangles"], "{name}: {seen}");
+        assert!(seen["triangles"].as_u64() > Some(10), "{name}: {seen}");
+        assert_eq!(seen["points"], 0, "{name}");
+    }
+}
+
+#[test]
 fn maps_and_points_are_seen_as_a_page_a_picture_and_over_loopback() {
     let folder = Folder::new();
     let map = folder.write_map("wall.ot", &wall());

@@ -79,6 +79,7 @@ export class Surface {
     this.triangles = new Uint32Array(bytesOf(mesh.triangles).buffer);
     this.low = mesh.low;
     this.step = mesh.step;
+    this.bothSides = mesh.both_sides;
   }
   at(i) {
     return [0, 1, 2].map((axis) => this.low[axis] + this.step * this.raw[4 * i + axis]);

@@ -249,6 +249,8 @@ export function surfaceLayer(surface, shared) {
   geometry.setIndex(new BufferAttribute(surface.triangles, 1));
   const material = new ShaderMaterial({
     uniforms: { ...shared, low: { value: new Vector3(...surface.low) }, stepLength: { value: surface.step } },
+    // one side or both, as three.js numbers them
+    side: surface.bothSides ? 2 : 0,
     vertexShader: `
       uniform vec3 low;
       uniform vec2 shownHeights;

@@ -361,7 +361,7 @@ export class View {
       const [ab, ac, from] = [minus(b, a), minus(c, a), minus(origin, a)];
       const across = cross(direction, ac);
       const facing = dot(ab, across);
-      if (facing <= 0) continue;
+      if (facing === 0 || (facing < 0 && !surface.bothSides)) continue;
       const u = dot(from, across) / facing;
       const over = cross(from, ab);
       const v = dot(direction, over) / facing;

@@ -2,7 +2,7 @@
 
 use super::cloud::grid;
 use crate::picture::base64;
-use crate::surface::ColouredMesh;
+use crate::surface::{ColouredMesh, extent};
 use monogrid_occupancy::SurfaceMesh;
 use serde::Serialize;
 use std::borrow::Cow;
@@ -11,6 +11,9 @@ use std::collections::{BTreeMap, HashMap};
 /// Triangles on a page at most; of a mesh with more, vertices that lie close together become one.
 const MAX_TRIANGLES: usize = 100_000;
 
+/// Cells along the longest side of a mesh of others, where it is made coarser.
+const CELLS_OF_MODEL: f64 = 600.0;
+
 /// A mesh with a colour for every vertex.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct PageMesh {
@@ -18,6 +21,8 @@ pub struct PageMesh {
     pub low: [f64; 3],
     /// Length of a step along each axis.
     pub step: f64,
+    /// Whether it is seen from behind too: a surface of ours has only the side that was filmed.
+    pub both_sides: bool,
     /// Vertices and triangles.
     pub count: [usize; 2],
     /// Base64 of four little-endian 16-bit integers per vertex: x, y, z in steps from `low`, and
@@ -41,6 +46,18 @@ impl PageMesh {
             grid *= 1.5;
         }
         Some(packed(&shown))
+    }
+
+    /// A mesh of others, of any size and turned either way.
+    pub fn of_model(mesh: &ColouredMesh) -> Option<Self> {
+        let [low, high] = extent(&mesh.surface.vertices);
+        let sides = low.into_iter().zip(high).map(|(low, high)| high - low);
+        let longest = f64::from(sides.fold(f32::MIN_POSITIVE, f32::max));
+        let shown = Self::new(mesh, longest / CELLS_OF_MODEL)?;
+        Some(Self {
+            both_sides: true,
+            ..shown
+        })
     }
 }
 
@@ -103,6 +120,7 @@ fn packed(mesh: &ColouredMesh) -> PageMesh {
     PageMesh {
         low,
         step,
+        both_sides: false,
         count: [surface.vertices.len(), surface.triangles.len()],
         vertices: base64(&vertices),
         colours: base64(mesh.colours.as_flattened()),
@@ -157,6 +175,8 @@ mod tests {
             triangles > 70_000 && triangles <= MAX_TRIANGLES,
             "{triangles}"
         );
+        let model = PageMesh::of_model(&square(2)).unwrap();
+        assert_eq!((model.both_sides, page.both_sides), (true, false));
         let empty = ColouredMesh {
             surface: SurfaceMesh::default(),
             colours: Vec::new(),

@@ -24,6 +24,8 @@ const MAX_SIDE: usize = 1600;
 const STRIP: usize = 64;
 /// Width of the narrowest picture: so much the strip needs.
 const MIN_WIDTH: usize = 640;
+/// Where the tones stand on it, px.
+const KEY: [usize; 3] = [280, 430, 520];
 /// Pixels per dot of a letter.
 const DOT: usize = 2;
 
@@ -102,8 +104,8 @@ impl Plan<'_> {
         let y = below + 14;
         fill(&mut picture, [16, y], [16 + length, y + 4], INK);
         write_text(&mut picture, [16, y + 14], &text);
-        for ((tone, name), x) in TONES.into_iter().zip([330, 440, 540]) {
-            let x = x - 330 + width.min(960).saturating_sub(330);
+        for ((tone, name), x) in TONES.into_iter().zip(KEY) {
+            let x = width - MIN_WIDTH + x;
             let (from, to) = ([x, y + 12], [x + 18, y + 30]);
             fill(&mut picture, from, to, INK);
             fill(&mut picture, [x + 1, y + 13], [x + 17, y + 29], tone);
@@ -153,7 +155,8 @@ impl Plan<'_> {
             y + 28,
             escape(&text)
         );
-        for ((tone, name), x) in TONES.into_iter().zip([330, 440, 540]) {
+        for ((tone, name), x) in TONES.into_iter().zip(KEY) {
+            let x = width - MIN_WIDTH + x;
             let (tone, square, text) = (css(tone), y + 12, y + 26);
             let _ = writeln!(
                 svg,

@@ -255,7 +255,7 @@ fn linear_colour(srgb: &[u8; 3]) -> [u8; 8] {
 }
 
 /// The corners of the box around points; infinite, and the wrong way round, where there are none.
-pub(super) fn extent(points: &[[f32; 3]]) -> [[f32; 3]; 2] {
+pub(crate) fn extent(points: &[[f32; 3]]) -> [[f32; 3]; 2] {
     let corner = |limit: f32, of: fn(f32, f32) -> f32| {
         points.iter().fold([limit; 3], |corner, point| {
             [0, 1, 2].map(|axis| of(corner[axis], point[axis]))

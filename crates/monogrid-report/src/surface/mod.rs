@@ -7,3 +7,4 @@ mod usdz;
 
 pub use colour::{CellColours, ColouredMesh, ColouredScan};
 pub use files::MeshFormat;
+pub(crate) use files::extent;

@@ -1,6 +1,7 @@
-//! Meshes of others as worlds: `.obj` with `.mtl` and textures, `.ply` with vertex colours; and
-//! clouds, `.ply` and `.pcd`.
+//! Meshes of others as worlds: `.obj` with `.mtl` and textures, `.ply` and `.glb` with vertex
+//! colours; and clouds, `.ply` and `.pcd`.
 
+mod glb;
 mod light;
 mod obj;
 mod pcd;
@@ -51,7 +52,7 @@ const MAX_TESTS_PER_RAY: f32 = 1000.0;
 const UNKNOWN_ALBEDO: f32 = 0.5;
 
 impl World {
-    /// A mesh file as a world, by its extension (`.obj`, `.ply`).
+    /// A mesh file as a world, by its extension (`.obj`, `.ply`, `.glb`).
     ///
     /// # Errors
     /// When the file, its materials or its textures cannot be read, or most of its triangles lie in
@@ -70,7 +71,8 @@ impl World {
 }
 
 impl MeshModel {
-    /// Reads a mesh file or a cloud, by its extension (`.obj`, `.ply`, `.pcd`).
+    /// Reads a mesh file or a cloud, by its extension (`.obj`, `.ply`, `.glb`,
+    /// `.pcd`).
     ///
     /// # Errors
     /// When the file, its materials or its textures cannot be read.
@@ -80,6 +82,7 @@ impl MeshModel {
             .map(|e| e.to_string_lossy().to_ascii_lowercase());
         match extension.as_deref() {
             Some("obj") => obj::read(path),
+            Some("glb") => glb::read(path),
             Some(kind @ ("ply" | "pcd")) => {
                 let (mesh, left_out) = match kind {
                     "ply" => ply::read_counted(path)?,
@@ -92,7 +95,7 @@ impl MeshModel {
                 })
             }
             _ => {
-                let expected = "a mesh or a cloud: .obj, .ply or .pcd";
+                let expected = "a mesh or a cloud: .obj, .ply, .glb or .pcd";
                 Err(DatasetError::content(path, "another extension", expected))
             }
         }
@@ -118,6 +121,15 @@ impl MeshModel {
     }
 }
 
+impl TriangleMesh {
+    /// The colour of the next vertex: red, green and blue in [0, 255], as displayed.
+    fn add_colour(&mut self, colour: [f32; 3]) {
+        let grey = luma(colour.map(f64::from));
+        self.albedo.push(albedo_of_grey(grey as f32));
+        self.colours.push(colour.map(|value| value.round() as u8));
+    }
+}
+
 /// Reflectance of an 8-bit grey value (gamma 2.2).
 fn albedo_of_grey(grey: f32) -> f32 {
     (grey / 255.0).clamp(0.0, 1.0).powf(2.2)
@@ -126,6 +138,11 @@ fn albedo_of_grey(grey: f32) -> f32 {
 /// ITU-601 luma.
 fn luma([r, g, b]: [f64; 3]) -> f64 {
     0.299 * r + 0.587 * g + 0.114 * b
+}
+
+/// Luma of linear light.
+fn linear_luma(colour: [f32; 3]) -> f32 {
+    luma(colour.map(f64::from)) as f32
 }
 
 /// Sides of textures at most, texels.

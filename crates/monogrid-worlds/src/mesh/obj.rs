@@ -1,6 +1,6 @@
 //! Wavefront `.obj` with `.mtl`: positions, texture coordinates, faces, diffuse colour and texture.
 
-use super::{MeshModel, UNKNOWN_ALBEDO, albedo_of_grey, luma, textured};
+use super::{MeshModel, UNKNOWN_ALBEDO, luma, textured};
 use crate::scene::Material;
 use monogrid_datasets::{DatasetError, read_gray};
 use std::path::Path;
@@ -47,6 +47,7 @@ pub(super) fn read(path: &Path) -> Result<MeshModel, DatasetError> {
     }
     if model.mesh.albedo.len() != model.mesh.vertices.len() {
         model.mesh.albedo.clear();
+        model.mesh.colours.clear();
     }
     if parts.iter().all(|part| part.mesh.texcoords.is_empty()) {
         model.corner_uv.clear();
@@ -106,8 +107,7 @@ fn add_part(part: &tobj::Mesh, model: &mut MeshModel) -> Result<(), &'static str
         .extend_from_slice(part.positions.as_chunks().0);
     // colours at vertices are an extension: in [0, 1], as displayed
     let colours = part.vertex_color.as_chunks::<3>().0.iter();
-    let albedo = colours.map(|c| albedo_of_grey(255.0 * luma(c.map(f64::from)) as f32));
-    mesh.albedo.extend(albedo);
+    colours.for_each(|colour| mesh.add_colour(colour.map(|share| 255.0 * share)));
     for (k, corners) in part.indices.as_chunks::<3>().0.iter().enumerate() {
         mesh.triangles.push(corners.map(|corner| first + corner));
         let uv = std::array::from_fn(|corner| {

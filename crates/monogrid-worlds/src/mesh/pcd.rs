@@ -1,7 +1,6 @@
 //! Point clouds of PCL (`.pcd`, versions 0.5 to 0.7): text, binary, and binary compressed by LZF,
 //! field after field.
 
-use super::{albedo_of_grey, luma};
 use crate::world::TriangleMesh;
 use monogrid_datasets::DatasetError;
 use std::fs::File;
@@ -194,9 +193,8 @@ impl Cloud {
         }
         self.mesh.vertices.push(point);
         if let Some(bits) = colour {
-            let [blue, green, red, _] = bits.to_le_bytes().map(f64::from);
-            let grey = luma([red, green, blue]);
-            self.mesh.albedo.push(albedo_of_grey(grey as f32));
+            let [blue, green, red, _] = bits.to_le_bytes().map(f32::from);
+            self.mesh.add_colour([red, green, blue]);
         }
     }
 }
@@ -417,6 +415,7 @@ mod tests {
         let expected = TriangleMesh {
             vertices: vec![[1.0, 2.0, 3.0], [-1.5, 0.0, 0.25]],
             albedo: vec![1.0, 0.0],
+            colours: vec![[255; 3], [0; 3]],
             ..TriangleMesh::default()
         };
         for bytes in [text(), binary(), compressed()] {

@@ -1,6 +1,5 @@
 //! Stanford `.ply` meshes, ascii and binary, with vertex colours.
 
-use super::{albedo_of_grey, luma};
 use crate::world::TriangleMesh;
 use monogrid_datasets::DatasetError;
 use serde::Deserialize;
@@ -101,8 +100,7 @@ fn add_vertices(
         kept.push(u32::try_from(mesh.vertices.len()).ok());
         mesh.vertices.push(point);
         if let Some(unit) = colour_unit {
-            let grey = unit * luma([v.red, v.green, v.blue].map(f64::from));
-            mesh.albedo.push(albedo_of_grey(grey as f32));
+            mesh.add_colour([v.red, v.green, v.blue].map(|value| unit as f32 * value));
         }
     }
 }

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 /// `monogrid distances`.
 #[derive(Debug, Args)]
 pub struct DistancesArgs {
-    /// Map to read (.ot, .bt or .mgo)
+    /// Map to read (.ot, .bt, .mgo, or the folder of a run)
     pub map: PathBuf,
     /// Array to write (.npy); where it lies in the map is written beside it (.yaml)
     pub output: PathBuf,

@@ -4,6 +4,7 @@ use crate::commands::bytes;
 use clap::Args;
 use monogrid_app::args::JsonArg;
 use monogrid_app::mapfile;
+use monogrid_app::output::map_at;
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
 use monogrid_datasets::{
     Scale, SubmapEntry, SubmapReader, SubmapTable, format_seconds, is_submap, is_submap_table,
@@ -15,7 +16,8 @@ use std::path::{Path, PathBuf};
 /// `monogrid info`.
 #[derive(Debug, Args)]
 pub struct InfoArgs {
-    /// Map (.ot, .bt or .mgo), a submap (.mgs), or submaps (submaps.json, or the folder of them)
+    /// Map (.ot, .bt, .mgo, or the folder of a run), a submap (.mgs), or submaps (submaps.json, or
+    /// the folder of them)
     pub map: PathBuf,
     #[command(flatten)]
     pub json: JsonArg,
@@ -51,7 +53,7 @@ pub fn execute(args: &InfoArgs) -> CommandResult {
         bounds_min: bounds.map(|b| b.0),
         bounds_max: bounds.map(|b| b.1),
         bytes_in_memory: map.bytes_in_memory(),
-        file_bytes: std::fs::metadata(&args.map).map_or(0, |m| m.len()),
+        file_bytes: std::fs::metadata(map_at(&args.map)).map_or(0, |m| m.len()),
     };
     args.json.print(&info, || {
         println!("{}: {}", args.map.display(), info.format);

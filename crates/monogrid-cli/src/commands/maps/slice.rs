@@ -22,7 +22,7 @@ fn pixels(text: &str) -> Result<usize, String> {
 /// `monogrid slice`.
 #[derive(Debug, Args)]
 pub struct SliceArgs {
-    /// Map (.ot or .bt)
+    /// Map (.ot, .bt, .mgo, or the folder of a run)
     pub map: PathBuf,
     /// Folder for the pictures; those of an earlier call are replaced
     pub out: PathBuf,

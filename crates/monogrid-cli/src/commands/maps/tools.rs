@@ -4,7 +4,7 @@ use crate::commands::bytes;
 use clap::Args;
 use monogrid_app::args::{JsonArg, WriteArgs, positive};
 use monogrid_app::mapfile;
-use monogrid_app::output::{Inputs, OutputFile};
+use monogrid_app::output::{Inputs, OutputFile, map_at};
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
 use monogrid_app::run::outputs::UNKNOWN_SCALE_WARNING;
 use monogrid_datasets::read_sim3;
@@ -12,6 +12,7 @@ use monogrid_evaluation::{PlanConfig, plan_path};
 use monogrid_geometry::Sim3;
 use monogrid_mapping::MeshConfig;
 use monogrid_occupancy::{MapFormat, OccupancyMap, Similarity};
+use monogrid_report::picture::plan::Plan;
 use monogrid_report::surface::{CellColours, MeshFormat};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -19,7 +20,7 @@ use std::path::{Path, PathBuf};
 /// `monogrid crop`.
 #[derive(Debug, Args)]
 pub struct CropArgs {
-    /// Map to read (.ot, .bt or .mgo)
+    /// Map to read (.ot, .bt, .mgo, or the folder of a run)
     pub input: PathBuf,
     /// Map to write (.ot, .bt or .mgo)
     pub output: PathBuf,
@@ -36,7 +37,7 @@ pub struct CropArgs {
 /// `monogrid merge`.
 #[derive(Debug, Args)]
 pub struct MergeArgs {
-    /// Map to read (.ot, .bt or .mgo)
+    /// Map to read (.ot, .bt, .mgo, or the folder of a run)
     pub first: PathBuf,
     /// Map to add, of the same resolution and frame
     pub second: PathBuf,
@@ -50,7 +51,7 @@ pub struct MergeArgs {
 /// `monogrid transform`.
 #[derive(Debug, Args)]
 pub struct TransformArgs {
-    /// Map to read (.ot, .bt or .mgo)
+    /// Map to read (.ot, .bt, .mgo, or the folder of a run)
     pub input: PathBuf,
     /// Map to write (.ot, .bt or .mgo)
     pub output: PathBuf,
@@ -67,7 +68,7 @@ pub struct TransformArgs {
 /// `monogrid diff`.
 #[derive(Debug, Args)]
 pub struct DiffArgs {
-    /// Map before (.ot, .bt or .mgo)
+    /// Map before (.ot, .bt, .mgo, or the folder of a run)
     pub before: PathBuf,
     /// Map after, of the same resolution and frame
     pub after: PathBuf,
@@ -78,9 +79,10 @@ pub struct DiffArgs {
 /// `monogrid project`.
 #[derive(Debug, Args)]
 pub struct ProjectArgs {
-    /// Map to read (.ot, .bt or .mgo)
+    /// Map to read (.ot, .bt, .mgo, or the folder of a run)
     pub map: PathBuf,
-    /// Image to write (.pgm); its description is written beside it (.yaml)
+    /// Image to write: .pgm, with its description beside it (.yaml), or a plan with a bar of a round
+    /// length, .png or .svg
     pub output: PathBuf,
     /// Cells whose centres are lower are left out [default: as in map.pgm of the run beside it]
     #[arg(long, value_name = "Z")]
@@ -95,7 +97,7 @@ pub struct ProjectArgs {
 /// `monogrid convert`.
 #[derive(Debug, Args)]
 pub struct ConvertArgs {
-    /// Map to read (.ot, .bt or .mgo)
+    /// Map to read (.ot, .bt, .mgo, or the folder of a run)
     pub input: PathBuf,
     /// File to write (.ot, .bt, .mgo, .ply or .pcd); point clouds hold the centres of occupied
     /// cells
@@ -107,7 +109,7 @@ pub struct ConvertArgs {
 /// `monogrid mesh`.
 #[derive(Debug, Args)]
 pub struct MeshArgs {
-    /// Map to read (.ot, .bt or .mgo)
+    /// Map to read (.ot, .bt, .mgo, or the folder of a run)
     pub map: PathBuf,
     /// Mesh to write: .ply, .glb, .obj, .stl, .dxf or .usdz
     pub output: PathBuf,
@@ -121,7 +123,7 @@ pub struct MeshArgs {
 /// `monogrid plan`.
 #[derive(Debug, Args)]
 pub struct PlanArgs {
-    /// Map to read (.ot, .bt or .mgo)
+    /// Map to read (.ot, .bt, .mgo, or the folder of a run)
     pub map: PathBuf,
     /// Where the robot's centre is, in the unit of the map
     #[arg(value_name = "FROM", value_parser = point, allow_hyphen_values = true)]
@@ -300,7 +302,7 @@ struct RunBeside {
 
 impl RunBeside {
     fn of(map: &Path) -> Self {
-        let path = map.with_file_name("summary.json");
+        let path = map_at(map).with_file_name("summary.json");
         let text = std::fs::read_to_string(path).unwrap_or_default();
         let summary: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
         let height = summary["floor"]["camera_height"].as_f64();
@@ -326,19 +328,21 @@ impl RunBeside {
     }
 }
 
-/// Writes the map seen from above, for nav2's map server.
+/// Writes the map seen from above, for nav2's map server or for people.
 pub fn project(args: &ProjectArgs) -> CommandResult {
-    let is_pgm = args.output.extension().is_some_and(|e| e == "pgm");
-    let (Some(name), true) = (args.output.file_name(), is_pgm) else {
+    let extension = args.output.extension().unwrap_or_default();
+    let is_plan = extension == "png" || extension == "svg";
+    let (Some(name), true) = (args.output.file_name(), is_plan || extension == "pgm") else {
         return Err(Failure::input(format!(
-            "cannot write {}: expected a name that ends in .pgm",
+            "cannot write {}: expected a name that ends in .pgm, .png or .svg",
             args.output.display()
         )));
     };
     let inputs = Inputs::of("the map", &args.map);
     let yaml = args.output.with_extension("yaml");
-    let pgm_file = OutputFile::new(&args.output, args.write.force, &inputs)?;
-    let yaml_file = OutputFile::new(&yaml, args.write.force, &inputs)?;
+    let file = OutputFile::new(&args.output, args.write.force, &inputs)?;
+    let yaml_file = || OutputFile::new(&yaml, args.write.force, &inputs);
+    let yaml_file = (!is_plan).then(yaml_file).transpose()?;
     let (map, _) = mapfile::load(&args.map)?;
     let beside = RunBeside::of(&args.map);
     let [lowest, highest] = beside.band.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
@@ -351,9 +355,20 @@ pub fn project(args: &ProjectArgs) -> CommandResult {
             args.map.display(),
         )));
     };
-    pgm_file.write(&grid.to_pgm())?;
-    let note = beside.note([low, high]);
-    yaml_file.write((grid.to_yaml(&name.to_string_lossy()) + &note).as_bytes())?;
+    let plan = Plan {
+        grid: &grid,
+        path: &[],
+        is_metric: beside.is_metric == Some(true),
+    };
+    if let Some(yaml_file) = yaml_file {
+        file.write(&grid.to_pgm())?;
+        let note = beside.note([low, high]);
+        yaml_file.write((grid.to_yaml(&name.to_string_lossy()) + &note).as_bytes())?;
+    } else if extension == "png" {
+        file.write(&plan.png())?;
+    } else {
+        file.write(plan.svg().as_bytes())?;
+    }
     let report = serde_json::json!({
         "width": grid.width,
         "height": grid.height,
@@ -361,9 +376,13 @@ pub fn project(args: &ProjectArgs) -> CommandResult {
         "origin": grid.origin,
     });
     args.write.json.print(&report, || {
-        let (pgm, yaml) = (args.output.display(), yaml.display());
+        let output = args.output.display();
+        let and = match is_plan {
+            true => String::new(),
+            false => format!(" and {}", yaml.display()),
+        };
         println!(
-            "{pgm} and {yaml}: {} x {} cells of {}",
+            "{output}{and}: {} x {} cells of {}",
             grid.width, grid.height, grid.resolution
         );
     })

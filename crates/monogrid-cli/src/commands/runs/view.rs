@@ -12,14 +12,15 @@ use monogrid_app::run::align::{Align, Up};
 use monogrid_app::run::sessions::Source;
 use monogrid_datasets::encode_png_rgb;
 use monogrid_mapping::MeshConfig;
+use monogrid_occupancy::SurfaceMesh;
 use monogrid_report::Page;
 use monogrid_report::explorer::{
     Answer, Cells, Cloud, CloudPoint, POLICY, PageMesh, Scene, Server, section,
 };
 use monogrid_report::picture::colour::quantile;
 use monogrid_report::picture::voxels::{Cube, View, dollhouse_cut, occupied_cubes, render};
-use monogrid_report::surface::CellColours;
-use monogrid_worlds::MeshModel;
+use monogrid_report::surface::{CellColours, ColouredMesh};
+use monogrid_worlds::{MeshModel, TriangleMesh};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -28,8 +29,8 @@ use std::time::Duration;
 /// `monogrid view`.
 #[derive(Debug, Args)]
 pub struct ViewArgs {
-    /// Map (.ot, .bt, .mgo), points (.ply, .pcd), recording (.mgk), submaps (submaps.json), or the
-    /// folder of a run
+    /// Map (.ot, .bt, .mgo), mesh (.glb, .ply, .obj), points (.ply, .pcd), recording (.mgk), submaps
+    /// (submaps.json), or the folder of a run
     pub source: PathBuf,
     /// Port on this computer; 0 is any that is free
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -52,6 +53,7 @@ struct ViewReport {
     url: Option<String>,
     cells: usize,
     points: usize,
+    triangles: usize,
     keyframes: usize,
 }
 
@@ -97,15 +99,17 @@ fn tell(args: &ViewArgs, shown: &Shown, url: Option<String>) -> CommandResult {
     let report = ViewReport {
         cells: scene.cells.as_ref().map_or(0, |cells| cells.count[0]),
         points: scene.cloud.as_ref().map_or(0, |cloud| cloud.count[1]),
+        triangles: scene.mesh.as_ref().map_or(0, |mesh| mesh.count[1]),
         keyframes: scene.keyframes.len(),
         url,
     };
     args.write.json.print(&report, || {
         println!(
-            "{}: {} occupied cells, {} points, {} keyframes",
+            "{}: {} occupied cells, {} points, {} triangles, {} keyframes",
             args.source.display(),
             report.cells,
             report.points,
+            report.triangles,
             report.keyframes
         );
         if let Some(url) = &report.url {
@@ -128,9 +132,10 @@ impl Shown {
         if source.is_dir() {
             return Self::of_run(source);
         }
-        let is_cloud = source.extension().is_some_and(|extension| {
-            extension.eq_ignore_ascii_case("ply") || extension.eq_ignore_ascii_case("pcd")
-        });
+        let extension = source.extension().unwrap_or_default().to_ascii_lowercase();
+        let is_cloud = ["ply", "pcd", "glb", "obj"]
+            .iter()
+            .any(|known| extension == *known);
         let (scene, cubes) = if Source::is_at(source) {
             of_recording(source)?
         } else if is_cloud {
@@ -219,19 +224,37 @@ fn of_points(source: &Path) -> Result<(Scene, Vec<Cube>), Failure> {
     left_out(&model, source)
         .iter()
         .for_each(|said| eprintln!("warning: {said}"));
-    let mesh = model.mesh;
-    let keep_every = Cloud::keep_every(mesh.vertices.len());
-    let grey = |albedo: &f32| (albedo.clamp(0.0, 1.0) * 255.0) as u8;
-    let points = mesh.vertices.iter().enumerate().step_by(keep_every);
-    let points = points.map(|(i, point)| CloudPoint {
+    let TriangleMesh {
+        vertices,
+        triangles,
+        mut colours,
+        ..
+    } = model.mesh;
+    // what has no colour is of a middle grey
+    colours.resize(vertices.len(), [128; 3]);
+    if !triangles.is_empty() {
+        let surface = SurfaceMesh {
+            vertices,
+            triangles,
+            ..SurfaceMesh::default()
+        };
+        let mesh = PageMesh::of_model(&ColouredMesh { surface, colours });
+        let scene = Scene {
+            mesh,
+            ..Scene::default()
+        };
+        return Ok((scene, Vec::new()));
+    }
+    let keep_every = Cloud::keep_every(vertices.len());
+    let points = vertices.iter().zip(colours).step_by(keep_every);
+    let points = points.map(|(point, colour)| CloudPoint {
         point: *point,
-        // points without a brightness are of a middle grey
-        colour: [mesh.albedo.get(i).map_or(128, grey); 3],
+        colour,
         confidence: 1.0,
     });
     let shown: Vec<CloudPoint> = points.collect();
     let cubes = small_cubes(&shown);
-    let (cloud, _) = Cloud::new(&[shown], mesh.vertices.len());
+    let (cloud, _) = Cloud::new(&[shown], vertices.len());
     let scene = Scene {
         cloud: Some(cloud),
         ..Scene::default()

@@ -2,7 +2,7 @@
 
 use crate::commands::runs::unreadable;
 use monogrid_app::mapfile;
-use monogrid_app::output::OutputFile;
+use monogrid_app::output::{MAP, OutputFile};
 use monogrid_app::process::failure::{Classify, Failure};
 use monogrid_occupancy::{SurfaceMesh, VoxelKey, write_colour_ot};
 use monogrid_report::surface::{ColouredMesh, MeshFormat};
@@ -19,8 +19,6 @@ pub const MESH: &str = "mesh.ply";
 pub const CLOUD: &str = "cloud.ply";
 /// Its occupied cells with their colours.
 pub const CELLS: &str = "cells.ply";
-/// Its map.
-pub const MAP: &str = "global.ot";
 /// Steps of coordinates in LAS, map units.
 const LAS_STEP: f64 = 1e-4;
 

@@ -15,7 +15,7 @@ mod tests;
 use crate::commands::runs::rescale::SUMMARY;
 use clap::{Args, ValueEnum};
 use monogrid_app::args::WriteArgs;
-use monogrid_app::output::{Inputs, OutputFile, OutputFolder};
+use monogrid_app::output::{Inputs, MAP, OutputFile, OutputFolder};
 use monogrid_app::process::failure::{CommandResult, Failure};
 use monogrid_app::run::sessions::{MAP_FROM_WORLD, Source, files_of};
 use monogrid_report::surface::MeshFormat;
@@ -79,7 +79,7 @@ fn inputs_of(run: &Path) -> Inputs {
         files::MESH,
         files::CLOUD,
         files::CELLS,
-        files::MAP,
+        MAP,
         MAP_FROM_WORLD,
         SUMMARY,
     ];

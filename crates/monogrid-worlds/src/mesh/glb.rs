@@ -1,0 +1,300 @@
+//! Binary glTF (`.glb`): triangles of its scene with the colours of their vertices, else of their
+//! materials; z up, as everywhere here. Textures are not looked at.
+
+use super::{MeshModel, linear_luma};
+use monogrid_datasets::{DatasetError, open_file};
+use monogrid_geometry::nalgebra::{Matrix4, Quaternion, UnitQuaternion, Vector3};
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::io::Read;
+use std::path::Path;
+
+/// Vertices of a scene at most; a mesh may be in it many times.
+const MAX_VERTICES: usize = 1 << 24;
+
+/// From y up to z up.
+const Z_UP: Matrix4<f32> = Matrix4::new(
+    1.0, 0.0, 0.0, 0.0, //
+    0.0, 0.0, -1.0, 0.0, //
+    0.0, 1.0, 0.0, 0.0, //
+    0.0, 0.0, 0.0, 1.0,
+);
+
+/// Reads the scene of a file.
+pub(super) fn read(path: &Path) -> Result<MeshModel, DatasetError> {
+    let (mut file, _) = open_file(path)?;
+    let mut bytes = Vec::new();
+    file.read_to_end(&mut bytes)
+        .map_err(|e| DatasetError::io("read", path, e))?;
+    parse(&bytes).map_err(|found| DatasetError::content(path, found, "a whole .glb (glTF 2.0)"))
+}
+
+fn parse(bytes: &[u8]) -> Result<MeshModel, String> {
+    let (json, binary) = chunks(bytes).ok_or("not the chunks of a .glb")?;
+    let json: Value = serde_json::from_slice(json).map_err(|error| error.to_string())?;
+    let mut scene = Scene {
+        json: &json,
+        binary,
+        visited: BTreeSet::new(),
+        model: MeshModel::default(),
+    };
+    let number = json["scene"].as_u64().unwrap_or(0) as usize;
+    for node in numbers(&json["scenes"][number]["nodes"]) {
+        scene.add_node(node, Z_UP)?;
+    }
+    let mesh = &mut scene.model.mesh;
+    let is_known = |point: &[f32; 3]| point.iter().all(|value| value.is_finite());
+    if !mesh.vertices.iter().all(is_known) {
+        return Err("a place that is not finite".into());
+    }
+    Ok(scene.model)
+}
+
+/// The JSON of a file, and the bytes that it describes.
+fn chunks(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
+    let chunk = |bytes: &'_ [u8], kind: &[u8; 4]| -> Option<usize> {
+        let length = u32::from_le_bytes(bytes.get(..4)?.try_into().ok()?) as usize;
+        (bytes.get(4..8)? == kind && bytes.len() - 8 >= length).then_some(length)
+    };
+    let rest = bytes.strip_prefix(b"glTF\x02\0\0\0")?.get(4..)?;
+    let length = chunk(rest, b"JSON")?;
+    let (json, rest) = rest[8..].split_at(length);
+    let binary = chunk(rest, b"BIN\0").map_or(&rest[..0], |length| &rest[8..8 + length]);
+    Some((json, binary))
+}
+
+fn numbers(list: &Value) -> impl Iterator<Item = usize> {
+    let list = list.as_array().into_iter().flatten();
+    list.filter_map(|number| Some(number.as_u64()? as usize))
+}
+
+/// Numbers of a list of just so many.
+fn floats<const N: usize>(list: &Value) -> Option<[f32; N]> {
+    let list = list.as_array()?.iter();
+    let values: Option<Vec<f32>> = list.map(|value| Some(value.as_f64()? as f32)).collect();
+    values?.try_into().ok()
+}
+
+struct Scene<'a> {
+    json: &'a Value,
+    binary: &'a [u8],
+    /// A scene is a tree.
+    visited: BTreeSet<usize>,
+    model: MeshModel,
+}
+
+impl Scene<'_> {
+    fn add_node(&mut self, number: usize, around: Matrix4<f32>) -> Result<(), String> {
+        // one after the other: a chain of nodes may be long
+        let mut nodes = vec![(number, around)];
+        while let Some((number, around)) = nodes.pop() {
+            if !self.visited.insert(number) {
+                return Err(format!("node {number} is in the scene twice"));
+            }
+            let node = &self.json["nodes"][number];
+            let placed = around * placement(node);
+            if let Some(mesh) = node["mesh"].as_u64() {
+                let parts = &self.json["meshes"][mesh as usize]["primitives"];
+                for part in parts.as_array().into_iter().flatten() {
+                    self.add_part(part, &placed)?;
+                }
+            }
+            nodes.extend(numbers(&node["children"]).map(|child| (child, placed)));
+        }
+        Ok(())
+    }
+
+    /// Adds triangles of one material; lines and points are none.
+    fn add_part(&mut self, part: &Value, placed: &Matrix4<f32>) -> Result<(), String> {
+        if part["mode"].as_u64().is_some_and(|mode| mode != 4) {
+            return Ok(());
+        }
+        let attributes = &part["attributes"];
+        let places = self.accessor(&attributes["POSITION"])?;
+        let first = self.model.mesh.vertices.len();
+        if first + places.len() > MAX_VERTICES {
+            return Err(format!("more than {MAX_VERTICES} vertices"));
+        }
+        let material = part["material"].as_u64().unwrap_or(u64::MAX) as usize;
+        let material = &self.json["materials"][material]["pbrMetallicRoughness"];
+        let factor = floats::<4>(&material["baseColorFactor"]).unwrap_or([1.0; 4]);
+        let colours = match &attributes["COLOR_0"] {
+            Value::Null => vec![[1.0; 4]; places.len()],
+            colours => self.accessor(colours)?,
+        };
+        let corners = match &part["indices"] {
+            Value::Null => (0..places.len()).collect(),
+            indices => {
+                let indices = self.accessor(indices)?.into_iter();
+                indices
+                    .map(|[index, ..]| index as usize)
+                    .collect::<Vec<_>>()
+            }
+        };
+        if corners.iter().any(|corner| *corner >= places.len()) {
+            return Err("a corner without a vertex".into());
+        }
+        let mesh = &mut self.model.mesh;
+        for [x, y, z, _] in &places {
+            let place = placed.transform_point(&[*x as f32, *y as f32, *z as f32].into());
+            mesh.vertices.push(place.coords.into());
+        }
+        let colours = colours.into_iter().chain(std::iter::repeat([1.0; 4]));
+        for colour in colours.take(places.len()) {
+            let linear = [0, 1, 2].map(|k| (colour[k] as f32 * factor[k]).clamp(0.0, 1.0));
+            mesh.albedo.push(linear_luma(linear));
+            mesh.colours.push(linear.map(displayed));
+        }
+        let triangles = corners.as_chunks::<3>().0.iter();
+        mesh.triangles
+            .extend(triangles.map(|corners| corners.map(|corner| (first + corner) as u32)));
+        Ok(())
+    }
+
+    /// The values of an accessor, up to four each.
+    fn accessor(&self, number: &Value) -> Result<Vec<[f64; 4]>, String> {
+        self.values(number)
+            .ok_or_else(|| format!("accessor {number} does not lie in the file"))
+    }
+
+    fn values(&self, number: &Value) -> Option<Vec<[f64; 4]>> {
+        let accessor = &self.json["accessors"][number.as_u64()? as usize];
+        let view = &self.json["bufferViews"][accessor["bufferView"].as_u64()? as usize];
+        let offset = |value: &Value| value["byteOffset"].as_u64().unwrap_or(0) as usize;
+        let count = accessor["count"].as_u64()? as usize;
+        let components = match accessor["type"].as_str()? {
+            "SCALAR" => 1,
+            "VEC3" => 3,
+            "VEC4" => 4,
+            _ => return None,
+        };
+        let (size, most) = match accessor["componentType"].as_u64()? {
+            5121 => (1, 255.0),
+            5123 => (2, 65_535.0),
+            5125 | 5126 => (4, 1.0),
+            _ => return None,
+        };
+        let is_float = accessor["componentType"] == 5126;
+        let unit = match accessor["normalized"].as_bool() {
+            Some(true) => most,
+            _ => 1.0,
+        };
+        let bytes = self.binary.get(offset(view)..)?;
+        let bytes = bytes.get(..view["byteLength"].as_u64()? as usize)?;
+        let bytes = bytes.get(offset(accessor)..)?;
+        let stride = view["byteStride"].as_u64().unwrap_or(0) as usize;
+        let stride = stride.max(components * size);
+        // so that a count is not believed before it is seen
+        if count > bytes.len().div_ceil(stride) {
+            return None;
+        }
+        let value = |index: usize| {
+            let mut values = [0.0; 4];
+            for (k, value) in values.iter_mut().take(components).enumerate() {
+                let bytes = bytes.get(index * stride + k * size..)?.get(..size)?;
+                let mut four = [0; 4];
+                four[..size].copy_from_slice(bytes);
+                *value = match is_float {
+                    true => f64::from(f32::from_le_bytes(four)),
+                    false => f64::from(u32::from_le_bytes(four)) / unit,
+                };
+            }
+            Some(values)
+        };
+        (0..count).map(value).collect()
+    }
+}
+
+/// Where a node is in the one around it.
+fn placement(node: &Value) -> Matrix4<f32> {
+    if let Some(columns) = floats::<16>(&node["matrix"]) {
+        return Matrix4::from_column_slice(&columns);
+    }
+    let [x, y, z, w] = floats(&node["rotation"]).unwrap_or([0.0, 0.0, 0.0, 1.0]);
+    let turn = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
+    let scale = floats::<3>(&node["scale"]).unwrap_or([1.0; 3]);
+    let move_by = floats::<3>(&node["translation"]).unwrap_or([0.0; 3]);
+    Matrix4::new_translation(&Vector3::from(move_by))
+        * turn.to_homogeneous()
+        * Matrix4::new_nonuniform_scaling(&Vector3::from(scale))
+}
+
+/// A linear value as screens show it (sRGB, IEC 61966-2-1).
+fn displayed(linear: f32) -> u8 {
+    let value = match linear {
+        0.0..=0.003_130_8 => 12.92 * linear,
+        _ => 1.055 * linear.powf(1.0 / 2.4) - 0.055,
+    };
+    (255.0 * value).round() as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    /// A file of this description and these bytes.
+    fn file(json: &Value, binary: &[u8]) -> Vec<u8> {
+        let text = json.to_string().into_bytes();
+        let mut bytes = b"glTF\x02\0\0\0\0\0\0\0".to_vec();
+        for (kind, chunk) in [(b"JSON", text.as_slice()), (b"BIN\0", binary)] {
+            bytes.extend((chunk.len() as u32).to_le_bytes());
+            bytes.extend(kind);
+            bytes.extend(chunk);
+        }
+        bytes
+    }
+
+    fn triangle() -> (Value, Vec<u8>) {
+        let places = [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 2.0, 0.0];
+        let mut binary: Vec<u8> = places.iter().flat_map(|v| v.to_le_bytes()).collect();
+        binary.extend([0, 2, 1, 0]);
+        let json = json!({
+            "scenes": [{ "nodes": [1] }],
+            "nodes": [{ "mesh": 0 }, { "children": [0], "translation": [10, 0, 0] }],
+            "meshes": [{ "primitives": [{
+                "attributes": { "POSITION": 0 }, "indices": 1, "material": 0,
+            }] }],
+            "materials": [{ "pbrMetallicRoughness": { "baseColorFactor": [1, 0, 0.5, 1] } }],
+            "bufferViews": [
+                { "byteLength": 36 }, { "byteOffset": 36, "byteLength": 3 },
+            ],
+            "accessors": [
+                { "bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3" },
+                { "bufferView": 1, "componentType": 5121, "count": 3, "type": "SCALAR" },
+            ],
+        });
+        (json, binary)
+    }
+
+    #[test]
+    fn a_scene_is_turned_z_up_and_has_the_colours_of_its_materials() {
+        let (json, binary) = triangle();
+        let mesh = parse(&file(&json, &binary)).unwrap().mesh;
+        let places = [[10.0, 0.0, 0.0], [11.0, 0.0, 0.0], [10.0, 0.0, 2.0]];
+        assert_eq!(
+            (mesh.vertices, mesh.triangles),
+            (places.to_vec(), vec![[0, 2, 1]])
+        );
+        assert_eq!(mesh.colours, [[255, 0, 188]; 3]);
+    }
+
+    #[test]
+    fn what_does_not_fit_is_refused() {
+        let (json, binary) = triangle();
+        let whole = file(&json, &binary);
+        for end in 0..whole.len() - 1 {
+            assert!(parse(&whole[..end]).is_err(), "{end}");
+        }
+        let wrong = |pointer: &str, value: Value| {
+            let mut json = json.clone();
+            *json.pointer_mut(pointer).unwrap() = value;
+            parse(&file(&json, &binary)).unwrap_err()
+        };
+        assert!(wrong("/accessors/0/count", json!(u64::MAX)).contains("accessor 0"));
+        assert!(wrong("/accessors/1/componentType", json!(5123)).contains("accessor 1"));
+        assert!(wrong("/nodes/1/children", json!([1])).contains("twice"));
+        assert!(wrong("/accessors/0/count", json!(2)).contains("corner"));
+        assert!(wrong("/bufferViews/1/byteOffset", json!(u64::MAX)).contains("accessor 1"));
+    }
+}
