@@ -47,12 +47,11 @@ const MARKUP: &str = "<section id=\"explorer\" class=\"explorer\" hidden><div id
     class=\"stage\"><canvas id=\"view3d\" tabindex=\"0\" aria-label=\"map in three \
     dimensions\"></canvas><p id=\"picked\" class=\"picked\" hidden></p><div id=\"ruler\" \
     class=\"ruler\"><i></i><span></span></div></div><p id=\"colours\" class=\"legend\"></p><form \
-    id=\"rescale\" hidden></form><form id=\"modes\"></form><p id=\"no-webgl\" \
-    class=\"warn\" hidden>This browser shows no three-dimensional graphics (WebGL): the map is \
-    below, as a picture.</p><form id=\"switches\"></form><form id=\"cuts\"></form><p \
-    class=\"note\">Drag to turn, right button or two fingers to move, wheel or pinch to come \
-    nearer; click two places to measure. This page is one file without others: send it to show the \
-    map.</p><div \
+    id=\"rescale\" hidden></form><form id=\"modes\"></form><p id=\"no-webgl\" class=\"warn\" \
+    hidden>This browser shows no three-dimensional graphics (WebGL): the map is below, as a \
+    picture.</p><form id=\"switches\"></form><form id=\"cuts\"></form><p class=\"note\">Drag to \
+    turn, right button or two fingers to move, wheel or pinch to come nearer; click two places to \
+    measure. This page is one file without others: send it to show the map.</p><div \
     id=\"timeline-part\"><h3>Over time</h3><canvas id=\"timeline\" class=\"timeline\" \
     tabindex=\"0\" aria-label=\"state of tracking over time\"></canvas><p id=\"legend\" \
     class=\"legend\"></p><p id=\"moment\" class=\"moment\"></p></div><div \
@@ -64,10 +63,11 @@ const MARKUP: &str = "<section id=\"explorer\" class=\"explorer\" hidden><div id
 const LIVE_MARKUP: &str = "<section id=\"explorer\" class=\"explorer\"><p id=\"live-state\" \
     class=\"lead\"></p><div id=\"stage\" class=\"stage\"><canvas id=\"view3d\" tabindex=\"0\" \
     aria-label=\"map in three dimensions\"></canvas><div id=\"ruler\" \
-    class=\"ruler\"><i></i><span></span></div></div><p id=\"no-webgl\" class=\"warn\" hidden>This browser shows no three-dimensional graphics (WebGL).</p><form \
-    id=\"switches\"></form><div class=\"pair\"><div><h3>Camera</h3><canvas \
-    id=\"live-image\"></canvas><p class=\"note\">Green: points of the newest keyframe where the \
-    pose has them.</p></div><div><h3>Keyframe</h3><canvas id=\"keyframe\"></canvas><p \
+    class=\"ruler\"><i></i><span></span></div></div><p id=\"no-webgl\" class=\"warn\" hidden>This \
+    browser shows no three-dimensional graphics (WebGL).</p><form id=\"switches\"></form><div \
+    class=\"pair\"><div><h3>Camera</h3><canvas id=\"live-image\"></canvas><p \
+    class=\"note\">Green: points of the newest keyframe where the pose has \
+    them.</p></div><div><h3>Keyframe</h3><canvas id=\"keyframe\"></canvas><p \
     id=\"keyframe-caption\" class=\"note\"></p></div></div></section>";
 
 /// The explorer of a scene: markup, data and scripts. The data are not in memory a second time.

@@ -21,11 +21,11 @@ const ENDS: [[u8; 3]; 2] = [[31, 158, 119], [199, 55, 47]];
 /// Pixels along the longer side at most; cells of larger maps share one.
 const MAX_SIDE: usize = 1600;
 /// Pixels of the strip below with the bar and the tones.
-const STRIP: usize = 64;
+const STRIP: usize = 84;
 /// Width of the narrowest picture: so much the strip needs.
-const MIN_WIDTH: usize = 640;
+const MIN_WIDTH: usize = 400;
 /// Where the tones stand on it, px.
-const KEY: [usize; 3] = [280, 430, 520];
+const KEY: [usize; 3] = [16, 170, 270];
 /// Pixels per dot of a letter.
 const DOT: usize = 2;
 
@@ -105,11 +105,10 @@ impl Plan<'_> {
         fill(&mut picture, [16, y], [16 + length, y + 4], INK);
         write_text(&mut picture, [16, y + 14], &text);
         for ((tone, name), x) in TONES.into_iter().zip(KEY) {
-            let x = width - MIN_WIDTH + x;
-            let (from, to) = ([x, y + 12], [x + 18, y + 30]);
+            let (from, to) = ([x, y + 42], [x + 18, y + 60]);
             fill(&mut picture, from, to, INK);
-            fill(&mut picture, [x + 1, y + 13], [x + 17, y + 29], tone);
-            write_text(&mut picture, [x + 24, y + 14], name);
+            fill(&mut picture, [x + 1, y + 43], [x + 17, y + 59], tone);
+            write_text(&mut picture, [x + 24, y + 44], name);
         }
         encode_png_rgb(&picture)
     }
@@ -124,9 +123,9 @@ impl Plan<'_> {
         let mut svg = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" \
              width=\"{width}\" height=\"{height}\" font-family=\"sans-serif\" font-size=\"14\">\n\
-             <rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\n<image width=\"{drawn}\" \
-             height=\"{below}\" style=\"image-rendering:pixelated\" href=\"{}\"/>\n<polyline \
-             fill=\"none\" stroke=\"{}\" stroke-width=\"2\" points=\"",
+             <rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\n<image \
+             width=\"{drawn}\" height=\"{below}\" style=\"image-rendering:pixelated\" \
+             href=\"{}\"/>\n<polyline fill=\"none\" stroke=\"{}\" stroke-width=\"2\" points=\"",
             data_url(&encode_png_rgb(&cells.picture)),
             css(PATH)
         );
@@ -156,8 +155,7 @@ impl Plan<'_> {
             escape(&text)
         );
         for ((tone, name), x) in TONES.into_iter().zip(KEY) {
-            let x = width - MIN_WIDTH + x;
-            let (tone, square, text) = (css(tone), y + 12, y + 26);
+            let (tone, square, text) = (css(tone), y + 40, y + 54);
             let _ = writeln!(
                 svg,
                 "<rect x=\"{x}\" y=\"{square}\" width=\"18\" height=\"18\" fill=\"{tone}\" \

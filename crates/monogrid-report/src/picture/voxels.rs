@@ -2,7 +2,7 @@
 //! path.
 
 use super::{Picture, colour, shrink};
-use monogrid_occupancy::{MapError, Occupancy, OccupancyMap};
+use monogrid_occupancy::{MapError, Occupancy, OccupancyMap, SurfaceMesh};
 use std::collections::BTreeMap;
 
 /// One occupied cell, z up.
@@ -93,6 +93,57 @@ pub fn render_coloured(cubes: &[Cube], colours: &[[u8; 3]], view: &View) -> Pict
     }
     canvas.shade_depth_steps();
     shrink(&canvas.picture, OVERSAMPLING, |pixel| pixel)
+}
+
+/// Renders a surface, in the colours of its vertices, from the side that it faces: what is seen
+/// from behind is not there, so that one looks into a room.
+pub fn render_surface(surface: &SurfaceMesh, colours: &[[u8; 3]], path: &[[f64; 3]]) -> Picture {
+    let places = surface.vertices.iter().map(|vertex| Cube {
+        center: vertex.map(f64::from),
+        size: 0.0,
+    });
+    let places: Vec<Cube> = places.collect();
+    let view = View {
+        azimuth: faced_azimuth(surface).unwrap_or(View::default().azimuth),
+        ..View::default()
+    };
+    let mut canvas = Canvas::new(&view, &places, path);
+    for triangle in &surface.triangles {
+        let corners = triangle.map(|i| places[i as usize].center);
+        let colours = triangle.map(|i| colours.get(i as usize).copied().unwrap_or([128; 3]));
+        canvas.fill_triangle(corners, colours);
+    }
+    canvas.shade_depth_steps();
+    for pair in path.windows(2) {
+        canvas.draw_line(pair[0], pair[1]);
+    }
+    shrink(&canvas.picture, OVERSAMPLING, |pixel| pixel)
+}
+
+/// Share of a surface that must face one side more than the other, for it to be seen from there.
+const FACED_SHARE: f64 = 0.05;
+
+/// The side that most of a surface faces: that from which it was filmed.
+fn faced_azimuth(surface: &SurfaceMesh) -> Option<f64> {
+    let (mut sum, mut area) = ([0.0; 2], 0.0);
+    for triangle in &surface.triangles {
+        let corners = triangle.map(|i| surface.vertices[i as usize].map(f64::from));
+        let normal = normal_of(corners);
+        sum = [sum[0] + normal[0], sum[1] + normal[1]];
+        area += dot(normal, normal).sqrt();
+    }
+    let is_clear = sum[0].hypot(sum[1]) > FACED_SHARE * area;
+    is_clear.then(|| sum[1].atan2(sum[0]))
+}
+
+/// Normal of a triangle, twice as long as its area.
+fn normal_of([a, b, c]: [[f64; 3]; 3]) -> [f64; 3] {
+    let [u, v] = [b, c].map(|end| [0, 1, 2].map(|k| end[k] - a[k]));
+    [
+        u[1] * v[2] - u[2] * v[1],
+        u[2] * v[0] - u[0] * v[2],
+        u[0] * v[1] - u[1] * v[0],
+    ]
 }
 
 /// Where to cut so that one looks into the room in which the camera moved: somewhat above its path,
@@ -276,6 +327,51 @@ impl Canvas {
         }
     }
 
+    /// Fills a triangle that faces the viewer, nearest distance wins; lit from above a little, so
+    /// that its shape is seen.
+    fn fill_triangle(&mut self, corners: [[f64; 3]; 3], colours: [[u8; 3]; 3]) {
+        const LIGHT: [f64; 3] = [0.303, 0.505, 0.808];
+        let normal = normal_of(corners);
+        if dot(normal, self.axes[2]) >= 0.0 {
+            return;
+        }
+        let lit = dot(normal, LIGHT).abs() / dot(normal, normal).sqrt();
+        let brightness = 0.8 + 0.2 * lit;
+        let [a, b, c] = corners.map(|corner| self.project(corner));
+        let area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+        let (width, height) = (self.picture.width(), self.picture.height());
+        let bound = |axis: usize, limit: usize| {
+            let values = [a[axis], b[axis], c[axis]];
+            let low = values.into_iter().fold(f64::INFINITY, f64::min);
+            let high = values.into_iter().fold(f64::NEG_INFINITY, f64::max);
+            let low = low.ceil().max(0.0) as usize;
+            low..((high.floor() + 1.0).clamp(0.0, limit as f64) as usize).max(low)
+        };
+        for y in bound(1, height) {
+            for x in bound(0, width) {
+                let share = |from: [f64; 3], to: [f64; 3]| {
+                    let (dx, dy) = (x as f64 - from[0], y as f64 - from[1]);
+                    ((to[0] - from[0]) * dy - (to[1] - from[1]) * dx) / area
+                };
+                let shares = [share(b, c), share(c, a), share(a, b)];
+                if shares.iter().any(|share| !(*share >= 0.0)) {
+                    continue;
+                }
+                let depth = shares[0] * a[2] + shares[1] * b[2] + shares[2] * c[2];
+                let index = y * width + x;
+                if (depth as f32) < self.depth[index] {
+                    self.depth[index] = depth as f32;
+                    let mixed = [0, 1, 2].map(|k| {
+                        let parts = colours.iter().zip(shares);
+                        let value: f64 = parts.map(|(c, share)| share * f64::from(c[k])).sum();
+                        value.round() as u8
+                    });
+                    self.picture.set(x, y, colour::shade(mixed, brightness));
+                }
+            }
+        }
+    }
+
     /// Darkens pixels that lie behind their neighbours, which makes edges readable.
     fn shade_depth_steps(&mut self) {
         let (width, height) = (self.picture.width(), self.picture.height());
@@ -350,6 +446,41 @@ mod tests {
         // the highest cube has the last colour of the scale
         let seen = both.at(50, 50);
         assert_eq!(seen, colour::rainbow(1.0));
+    }
+
+    #[test]
+    fn a_surface_is_seen_from_the_side_that_it_faces() {
+        let square = |x: f32| [[x, 0.0, 0.0], [x, 1.0, 0.0], [x, 1.0, 1.0], [x, 0.0, 1.0]];
+        // two walls that face +x, the left half of each red
+        let surface = SurfaceMesh {
+            vertices: [square(0.0), square(2.0)].concat(),
+            triangles: [0, 4]
+                .map(|k| [[k, k + 1, k + 2], [k, k + 2, k + 3]])
+                .concat(),
+            ..SurfaceMesh::default()
+        };
+        assert_eq!(faced_azimuth(&surface), Some(0.0));
+        let colours = [[[200, 0, 0]; 4], [[0, 0, 200]; 4]].concat();
+        let seen = render_surface(&surface, &colours, &[]);
+        let pixels = seen.as_slice().iter();
+        let of = |channel: usize| {
+            let is_it = |p: &&[u8; 3]| p[channel] > 100 && p[2 - channel] == 0;
+            pixels.clone().filter(is_it).count()
+        };
+        assert!(of(0) > 1000 && of(2) > 1000, "{} {}", of(0), of(2));
+        let turned = SurfaceMesh {
+            triangles: surface
+                .triangles
+                .iter()
+                .map(|[a, b, c]| [*a, *c, *b])
+                .collect(),
+            ..surface
+        };
+        let azimuth = faced_azimuth(&turned).unwrap();
+        assert!(
+            (azimuth.abs() - std::f64::consts::PI).abs() < 1e-9,
+            "{azimuth}"
+        );
     }
 
     #[test]

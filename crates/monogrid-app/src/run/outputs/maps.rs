@@ -10,7 +10,9 @@ use monogrid_occupancy::{MapFormat, OccupancyMap, Projection, VoxelKey, write_pl
 use monogrid_report::explorer::PagePlan;
 use monogrid_report::picture::colour::quantile;
 use monogrid_report::picture::plan::Plan;
-use monogrid_report::picture::voxels::{Cube, View, dollhouse_cut, occupied_cubes, render};
+use monogrid_report::picture::voxels::{
+    Cube, View, dollhouse_cut, occupied_cubes, render, render_surface,
+};
 use monogrid_report::surface::{CellColours, ColouredMesh, MeshFormat};
 
 /// Pictures of the final maps, as PNG files.
@@ -86,9 +88,7 @@ pub fn write_global(
         let cubes = occupied_cubes(global).while_running("the map cannot be projected")?;
         let plan = write_grid(folder, global, &cubes, path, ground)?;
         let cut = dollhouse_cut(&cubes, path);
-        let preview = encode_png_rgb(&render(&cubes, path, cut, &View::default()));
-        folder.write("preview.png", &preview)?;
-        Ok::<_, Failure>((cubes, preview, cut, plan))
+        Ok::<_, Failure>((cubes, cut, plan))
     };
     let rest = || {
         rayon::join(
@@ -98,12 +98,19 @@ pub fn write_global(
     };
     let (drawn, (mesh, written)) = rayon::join(draw, rest);
     written?;
-    let (cubes, preview, cut, plan) = drawn?;
+    let ((cubes, cut, plan), mesh) = (drawn?, mesh?);
+    let preview = encode_png_rgb(&match &mesh {
+        Some(mesh) if !mesh.colours.is_empty() => {
+            render_surface(&mesh.surface, &mesh.colours, path)
+        }
+        _ => render(&cubes, path, cut, &View::default()),
+    });
+    folder.write("preview.png", &preview)?;
     let pictures = MapPictures {
         preview,
         loops: None,
         cut,
-        mesh: mesh?,
+        mesh,
         plan,
     };
     Ok((cubes, pictures))

@@ -87,9 +87,9 @@ fn below_the_explorer(tracked: &Tracked, input: &ReportInput) -> Page {
     page.facts(&facts(input));
     if let Some(pictures) = &input.pictures {
         page.heading("Map");
-        let shown = "occupied cells, coloured by height, with the path of the camera";
+        let shown = "the surface as it was filmed, with the path of the camera";
         page.picture(&pictures.preview, shown);
-        page.note("Occupied cells coloured by height, cut above the camera; black: its path.");
+        page.note("The surface from the side that was filmed; black: the path of the camera.");
     }
     page.heading("Path of the camera, from above");
     page.plot(&path_plot(input));

@@ -89,8 +89,9 @@ impl Progress {
     }
 }
 
-/// Does work that counts keyframes or something else of which there are so many (0 where that is not
-/// known), and says meanwhile how far it is and how long it will take; `look` is called each time.
+/// Does work that counts keyframes or something else of which there are so many (0 where that is
+/// not known), and says meanwhile how far it is and how long it will take; `look` is called each
+/// time.
 pub fn watched<T>(
     (what, of, total): (&str, &str, usize),
     show: bool,

@@ -81,8 +81,8 @@ pub struct DiffArgs {
 pub struct ProjectArgs {
     /// Map to read (.ot, .bt, .mgo, or the folder of a run)
     pub map: PathBuf,
-    /// Image to write: .pgm, with its description beside it (.yaml), or a plan with a bar of a round
-    /// length, .png or .svg
+    /// Image to write: .pgm, with its description beside it (.yaml), or a plan for people with a
+    /// bar of a round length, .png or .svg
     pub output: PathBuf,
     /// Cells whose centres are lower are left out [default: as in map.pgm of the run beside it]
     #[arg(long, value_name = "Z")]

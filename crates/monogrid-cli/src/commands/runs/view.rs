@@ -18,7 +18,9 @@ use monogrid_report::explorer::{
     Answer, Cells, Cloud, CloudPoint, POLICY, PageMesh, Scene, Server, section,
 };
 use monogrid_report::picture::colour::quantile;
-use monogrid_report::picture::voxels::{Cube, View, dollhouse_cut, occupied_cubes, render};
+use monogrid_report::picture::voxels::{
+    Cube, View, dollhouse_cut, occupied_cubes, render, render_surface,
+};
 use monogrid_report::surface::{CellColours, ColouredMesh};
 use monogrid_worlds::{MeshModel, TriangleMesh};
 use serde::Serialize;
@@ -29,8 +31,8 @@ use std::time::Duration;
 /// `monogrid view`.
 #[derive(Debug, Args)]
 pub struct ViewArgs {
-    /// Map (.ot, .bt, .mgo), mesh (.glb, .ply, .obj), points (.ply, .pcd), recording (.mgk), submaps
-    /// (submaps.json), or the folder of a run
+    /// Map (.ot, .bt, .mgo), mesh (.glb, .ply, .obj), points (.ply, .pcd), recording (.mgk),
+    /// submaps (submaps.json), or the folder of a run
     pub source: PathBuf,
     /// Port on this computer; 0 is any that is free
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -121,8 +123,10 @@ fn tell(args: &ViewArgs, shown: &Shown, url: Option<String>) -> CommandResult {
 /// What is shown.
 struct Shown {
     scene: Scene,
-    /// What a picture shows.
+    /// What a picture shows,
     cubes: Vec<Cube>,
+    /// and instead of cells, where a mesh is shown.
+    surface: Option<ColouredMesh>,
     /// The page that a run wrote.
     report: Option<String>,
 }
@@ -139,13 +143,14 @@ impl Shown {
         let (scene, cubes) = if Source::is_at(source) {
             of_recording(source)?
         } else if is_cloud {
-            of_points(source)?
+            return of_model(source);
         } else {
             of_map(source)?
         };
         Ok(Self {
             scene,
             cubes,
+            surface: None,
             report: None,
         })
     }
@@ -173,6 +178,7 @@ impl Shown {
         let mut shown = Self {
             scene,
             cubes,
+            surface: None,
             report: std::fs::read_to_string(report).ok(),
         };
         shown.scene.cut = dollhouse_cut(&shown.cubes, &shown.path());
@@ -186,7 +192,10 @@ impl Shown {
     }
 
     fn picture(&self) -> monogrid_report::picture::Picture {
-        render(&self.cubes, &self.path(), self.scene.cut, &View::default())
+        match &self.surface {
+            Some(mesh) => render_surface(&mesh.surface, &mesh.colours, &[]),
+            None => render(&self.cubes, &self.path(), self.scene.cut, &View::default()),
+        }
     }
 
     fn page(&self, source: &Path) -> Result<String, Failure> {
@@ -219,7 +228,7 @@ fn of_map(source: &Path) -> Result<(Scene, Vec<Cube>), Failure> {
     Ok((scene, cubes))
 }
 
-fn of_points(source: &Path) -> Result<(Scene, Vec<Cube>), Failure> {
+fn of_model(source: &Path) -> Result<Shown, Failure> {
     let model = MeshModel::read(source).bad_input()?;
     left_out(&model, source)
         .iter()
@@ -238,12 +247,17 @@ fn of_points(source: &Path) -> Result<(Scene, Vec<Cube>), Failure> {
             triangles,
             ..SurfaceMesh::default()
         };
-        let mesh = PageMesh::of_model(&ColouredMesh { surface, colours });
+        let mesh = ColouredMesh { surface, colours };
         let scene = Scene {
-            mesh,
+            mesh: PageMesh::of_model(&mesh),
             ..Scene::default()
         };
-        return Ok((scene, Vec::new()));
+        return Ok(Shown {
+            scene,
+            cubes: Vec::new(),
+            surface: Some(mesh),
+            report: None,
+        });
     }
     let keep_every = Cloud::keep_every(vertices.len());
     let points = vertices.iter().zip(colours).step_by(keep_every);
@@ -259,7 +273,12 @@ fn of_points(source: &Path) -> Result<(Scene, Vec<Cube>), Failure> {
         cloud: Some(cloud),
         ..Scene::default()
     };
-    Ok((scene, cubes))
+    Ok(Shown {
+        scene,
+        cubes,
+        surface: None,
+        report: None,
+    })
 }
 
 /// The depth of the keyframes as it was recorded.
