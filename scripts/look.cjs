@@ -117,9 +117,17 @@ async function look(out, file) {
   const { page, errors, asked, seconds } = await open(wide.context, url);
   const shot = (what, options) => page.screenshot({ path: path.join(out, `${name}-${what}.png`), ...options });
   await shot('wide');
+  // what a visitor sees first: the surface, what its colours mean, and a bar of a length
+  const first = await page.evaluate(() => {
+    const text = (id) => document.getElementById(id)?.textContent ?? '';
+    return { shown: document.querySelector('#modes [aria-pressed=true]')?.textContent, colours: text('colours'), bar: text('ruler') };
+  });
+  const hasSurface = await page.evaluate(() => Boolean(window.explorer?.data?.surface));
+  if (hasSurface && first.shown !== 'surface') errors.push(`the first view is ${first.shown}`);
+  if (!file.startsWith('http') && (!first.colours || !first.bar)) errors.push('no legend, or no bar');
   const has = await page.evaluate(() => Object.keys(window.explorer?.view?.layers ?? {}));
   const rates = {};
-  for (const layers of [['cloud', 'path'], ['cells', 'path'], ['cells', 'cloud', 'path']]) {
+  for (const layers of [['surface', 'path'], ['cloud', 'path'], ['cells', 'path'], ['cells', 'cloud', 'path']]) {
     if (!layers.every((layer) => has.includes(layer))) continue;
     const name = layers.join(' + ');
     rates[name] = await turning(page, wide.folder, layers, false);
@@ -144,7 +152,7 @@ async function look(out, file) {
   await narrow.close();
   const all = [...errors, ...phone.errors];
   const script_seconds = (await page.evaluate(() => window.explorer.milliseconds)) / 1000;
-  console.log(JSON.stringify({ page: name, megabytes: file.startsWith('http') ? null : fs.statSync(file).size / 1e6, seconds, script_seconds, rates, phone_width: width, errors: all, asked: [...asked, ...phone.asked] }, null, 1));
+  console.log(JSON.stringify({ page: name, megabytes: file.startsWith('http') ? null : fs.statSync(file).size / 1e6, seconds, script_seconds, first, rates, phone_width: width, errors: all, asked: [...asked, ...phone.asked] }, null, 1));
   await wide.close();
   return all.length === 0 && width <= 380 && (file.startsWith('http') || asked.length + phone.asked.length === 0);
 }

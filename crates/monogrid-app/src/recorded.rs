@@ -20,7 +20,7 @@ use monogrid_report::colours::Colours;
 use monogrid_report::explorer::{
     Camera, CloudPoint, Scene, SemiDense, ShownKeyframe, cloud_and_keyframes, point_groups,
 };
-use monogrid_report::surface::{CellColours, ColouredScan};
+use monogrid_report::surface::{CellColours, ColouredScan, SurfaceView};
 use monogrid_slam::TrackedFrame;
 use std::cell::OnceCell;
 use std::path::Path;
@@ -170,6 +170,19 @@ impl Recorded {
             ..Scene::default()
         };
         (scene, groups.concat())
+    }
+
+    /// The keyframes for a surface that they see.
+    pub fn surface_views(&self) -> Vec<SurfaceView<'_>> {
+        let views = self.keyframes.iter().filter_map(|keyframe| {
+            Some(SurfaceView {
+                id: keyframe.id,
+                image: keyframe.image.as_ref().map(ImageOf::Held),
+                pinhole: keyframe.camera.pinhole,
+                map_from_keyframe: self.frame.map_from_world * keyframe.world_from_keyframe?,
+            })
+        });
+        views.collect()
     }
 
     /// Whether lengths are metres.

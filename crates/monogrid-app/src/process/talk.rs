@@ -8,12 +8,14 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Time between lines where there is no terminal.
-pub const LINE_EVERY: Duration = Duration::from_secs(10);
+/// Time between lines where there is no terminal: with the time between looks below ten seconds.
+const LINE_EVERY: Duration = Duration::from_millis(9500);
 /// Time between looks.
 const LOOK_EVERY: Duration = Duration::from_millis(250);
 
 static WORK: Mutex<Option<Work>> = Mutex::new(None);
+/// When something was last said.
+static SAID: Mutex<Option<Instant>> = Mutex::new(None);
 static SPINNER: Mutex<Option<ProgressBar>> = Mutex::new(None);
 
 /// What goes on.
@@ -21,8 +23,6 @@ static SPINNER: Mutex<Option<ProgressBar>> = Mutex::new(None);
 struct Work {
     name: String,
     begin: Instant,
-    /// When something was last said.
-    said: Instant,
 }
 
 fn work() -> MutexGuard<'static, Option<Work>> {
@@ -52,12 +52,21 @@ pub fn begin(name: &str) {
 
 /// Names what goes on from now on.
 pub fn doing(name: &str) {
-    let now = Instant::now();
     *work() = Some(Work {
         name: name.to_owned(),
-        begin: now,
-        said: now,
+        begin: Instant::now(),
     });
+}
+
+/// Whether nothing was said for so long that something should be.
+pub fn is_due() -> bool {
+    has_been_silent(Instant::now())
+}
+
+fn has_been_silent(now: Instant) -> bool {
+    let mut said = SAID.lock().unwrap_or_else(PoisonError::into_inner);
+    let since = now.saturating_duration_since(*said.get_or_insert(now));
+    since >= LINE_EVERY
 }
 
 /// Others talk, or nobody should, until this is dropped.
@@ -82,9 +91,9 @@ impl Drop for Rest {
 
 /// What is to be said now, where nothing was for long.
 fn line(now: Instant) -> Option<String> {
-    let mut work = work();
-    let work = work.as_mut()?;
-    if now.saturating_duration_since(work.said) < LINE_EVERY {
+    let work = work();
+    let work = work.as_ref()?;
+    if !has_been_silent(now) {
         return None;
     }
     let seconds = now.saturating_duration_since(work.begin).as_secs();
@@ -117,9 +126,7 @@ fn show() {
 
 /// Something is said: the spinner makes room, and there is no need to talk for a while.
 pub(super) fn said<T>(say: impl FnOnce() -> T) -> T {
-    if let Some(work) = work().as_mut() {
-        work.said = Instant::now();
-    }
+    *SAID.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
     let bar = spinner().clone();
     match bar {
         Some(bar) => bar.suspend(say),
@@ -133,6 +140,7 @@ mod tests {
 
     #[test]
     fn a_line_every_ten_seconds_names_the_work_unless_others_talk() {
+        said(|| ());
         doing("final adjustment");
         let begun = Instant::now();
         let after = |seconds| line(begun + Duration::from_secs(seconds));
@@ -140,11 +148,12 @@ mod tests {
         assert_eq!(after(12).as_deref(), Some("final adjustment · 12 s"));
         said(|| ());
         assert_eq!(after(9), None);
+        // steps that follow each other are no reason to be silent
+        doing("report");
+        assert_eq!(after(12).as_deref(), Some("report · 12 s"));
         let resting = rest();
         assert_eq!(after(60), None);
         drop(resting);
-        assert_eq!(after(21).as_deref(), Some("final adjustment · 21 s"));
-        doing("report");
         assert_eq!(after(21).as_deref(), Some("report · 21 s"));
         *work() = None;
     }

@@ -119,8 +119,12 @@ fn run_watched(
     };
     talk::doing("maps and the surface are written");
     let write = |maps| {
-        let (colours, config) = (&cell_colours, &mapping.mesh);
-        let surface = Surface { colours, config };
+        let surface = Surface {
+            colours: &cell_colours,
+            config: &mapping.mesh,
+            views: &shown.iter().map(ShownKeyframe::view).collect::<Vec<_>>(),
+            images: &colours,
+        };
         let ground = ground(&tracked, &looked.frame);
         outputs::write_maps(folder, maps, &paths, ground, surface)
     };

@@ -562,7 +562,14 @@ fn the_folder_of_a_run_is_taken_wherever_a_map_is() {
         vec!["slice", &run, &out("h")],
         vec!["distances", &run, &out("i.npy"), "--max-distance", "1"],
         vec!["evaluate", "map", &run, &map],
-        vec!["evaluate", "paths", &run, &map, "--robot-radius", "0.1"],
+        vec![
+            "plan",
+            &run,
+            "0.15,0.15,0.15",
+            "0.25,0.75,0.75",
+            "--robot-radius",
+            "0.1",
+        ],
         vec!["view", &run, "--html", &out("k.html")],
     ]
     .into_iter()
@@ -571,6 +578,12 @@ fn the_folder_of_a_run_is_taken_wherever_a_map_is() {
         let output = monogrid(&args);
         assert_eq!(code(&output), 0, "{k} {args:?}: {}", stderr(&output));
     }
+    let args = ["evaluate", "paths", &run, &map, "--robot-radius", "0.1"];
+    assert_fails(
+        &monogrid(args),
+        2,
+        &["the truth has no two connected places"],
+    );
     // what is read is not written over, and an empty folder says what it lacks
     let args = ["convert", &run, &map, "--force"];
     assert_fails(&monogrid(args), 2, &["the map"]);

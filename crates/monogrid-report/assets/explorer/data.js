@@ -80,6 +80,7 @@ export class Surface {
     this.low = mesh.low;
     this.step = mesh.step;
     this.bothSides = mesh.both_sides;
+    this.texture = mesh.texture;
   }
   at(i) {
     return [0, 1, 2].map((axis) => this.low[axis] + this.step * this.raw[4 * i + axis]);

@@ -13,6 +13,7 @@ import {
   Mesh,
   Points as PointsObject,
   ShaderMaterial,
+  Texture,
   Vector3,
 } from 'three';
 import { RAINBOW_SHADER } from 'explorer/colours';
@@ -240,15 +241,17 @@ export function pointsLayer(points, shared) {
 }
 
 // The surface in its colours, lit a little so that its shape is seen; from behind it is not there, so that one looks into a room.
-export function surfaceLayer(surface, shared) {
-  const geometry = new BufferGeometry();
-  const place = new InterleavedBufferAttribute(new InterleavedBuffer(surface.raw, 4), 4, 0);
-  geometry.setAttribute('place', place);
-  geometry.setAttribute('position', place);
-  geometry.setAttribute('colour', new BufferAttribute(surface.colours, 3, true));
-  geometry.setIndex(new BufferAttribute(surface.triangles, 1));
+export function surfaceLayer(surface, shared, redraw) {
+  const { texture } = surface;
   const material = new ShaderMaterial({
-    uniforms: { ...shared, low: { value: new Vector3(...surface.low) }, stepLength: { value: surface.step } },
+    uniforms: {
+      ...shared,
+      low: { value: new Vector3(...surface.low) },
+      stepLength: { value: surface.step },
+      filmed: { value: null },
+      // of the picture of a textured one, once it is decoded
+      hasPicture: { value: 0 },
+    },
     // one side or both, as three.js numbers them
     side: surface.bothSides ? 2 : 0,
     vertexShader: `
@@ -257,22 +260,84 @@ export function surfaceLayer(surface, shared) {
       uniform float stepLength;
       attribute vec4 place;
       attribute vec3 colour;
+      ${texture ? 'attribute vec2 on;' : ''}
       varying vec3 tint, point;
+      varying vec2 at;
       void main() {
         point = low + stepLength * place.xyz;
         tint = colour;
+        at = ${texture ? 'on' : 'vec2(0.0)'};
         if (point.z < shownHeights.x || point.z > shownHeights.y) { ${OUTSIDE} return; }
         gl_Position = projectionMatrix * viewMatrix * vec4(point, 1.0);
       }`,
     fragmentShader: `
+      uniform sampler2D filmed;
+      uniform float hasPicture;
       varying vec3 tint, point;
+      varying vec2 at;
       void main() {
         vec3 normal = normalize(cross(dFdx(point), dFdy(point)));
         float light = 0.8 + 0.2 * abs(dot(normal, normalize(vec3(0.3, 0.5, 0.8))));
-        gl_FragColor = vec4(tint * light, 1.0);
+        gl_FragColor = vec4(hasPicture > 0.5 ? texture2D(filmed, at).rgb : tint * light, 1.0);
       }`,
   });
-  return meshOf(geometry, material);
+  if (texture) {
+    const image = new Image();
+    image.onload = () => {
+      const picture = new Texture(image);
+      // rows from above, and nothing of the blocks beside
+      picture.flipY = false;
+      picture.generateMipmaps = false;
+      picture.minFilter = picture.magFilter = LINEAR;
+      picture.needsUpdate = true;
+      material.uniforms.filmed.value = picture;
+      material.uniforms.hasPicture.value = 1;
+      redraw();
+    };
+    image.src = `data:image/jpeg;base64,${texture.image}`;
+  }
+  return meshOf(texture ? facesOf(surface) : verticesOf(surface), material);
+}
+
+// three.js' number of it
+const LINEAR = 1006;
+
+function verticesOf(surface) {
+  const geometry = new BufferGeometry();
+  const place = new InterleavedBufferAttribute(new InterleavedBuffer(surface.raw, 4), 4, 0);
+  geometry.setAttribute('place', place);
+  geometry.setAttribute('position', place);
+  geometry.setAttribute('colour', new BufferAttribute(surface.colours, 3, true));
+  geometry.setIndex(new BufferAttribute(surface.triangles, 1));
+  return geometry;
+}
+
+// Two triangles are a face, with four vertices of its own: where they are on the picture is told in surface/texture.rs.
+function facesOf({ raw, colours, triangles, texture: { block, columns, size } }) {
+  const count = triangles.length / 6;
+  const place = new Uint16Array(16 * count);
+  const colour = new Uint8Array(12 * count);
+  const on = new Float32Array(8 * count);
+  const index = new Uint32Array(6 * count);
+  for (let face = 0; face < count; face++) {
+    const corners = [triangles[6 * face], triangles[6 * face + 1], triangles[6 * face + 2], triangles[6 * face + 5]];
+    const [left, top] = [(face % columns) * block + 0.5, Math.floor(face / columns) * block + 0.5];
+    corners.forEach((corner, k) => {
+      const vertex = 4 * face + k;
+      place.set(raw.subarray(4 * corner, 4 * corner + 4), 4 * vertex);
+      colour.set(colours.subarray(3 * corner, 3 * corner + 3), 3 * vertex);
+      on[2 * vertex] = (left + (k === 1 || k === 2 ? block - 1 : 0)) / size[0];
+      on[2 * vertex + 1] = (top + (k > 1 ? block - 1 : 0)) / size[1];
+    });
+    index.set([0, 1, 2, 0, 2, 3].map((k) => 4 * face + k), 6 * face);
+  }
+  const geometry = new BufferGeometry();
+  geometry.setAttribute('place', new BufferAttribute(place, 4));
+  geometry.setAttribute('position', geometry.getAttribute('place'));
+  geometry.setAttribute('colour', new BufferAttribute(colour, 3, true));
+  geometry.setAttribute('on', new BufferAttribute(on, 2));
+  geometry.setIndex(new BufferAttribute(index, 1));
+  return geometry;
 }
 
 export function lineLayer(points, colour) {

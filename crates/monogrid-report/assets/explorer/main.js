@@ -104,6 +104,7 @@ function offerScale(places, { unit }) {
 
 function showPlan(data) {
   const plan = new Plan(byId('plan'), data);
+  byId('plan-part').hidden = !data.plan && !data.occupied && data.path.length < 2;
   if (!data.occupied?.count) {
     plan.draw();
     return plan;

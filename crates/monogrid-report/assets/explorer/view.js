@@ -91,7 +91,7 @@ export class View {
       this.points = pointsLayer(points, this.shared);
       layers.cloud = { object: this.points.layer, on: false };
     }
-    if (surface) layers.surface = { object: surfaceLayer(surface, this.shared), on: false };
+    if (surface) layers.surface = { object: surfaceLayer(surface, this.shared, () => this.draw()), on: false };
     if (free?.count) layers.free = { name: 'free space', object: freeLayer(free, this.shared), on: false };
     if (path.length > 1) {
       const line = lineLayer(path.map((p) => p.slice(1)), isDark() ? 0xf0f0f0 : 0x151515);

@@ -28,6 +28,15 @@ impl<'a> Look<'a> {
         }
     }
 
+    /// Width and height, where that is known.
+    pub fn size(&self) -> Option<[usize; 2]> {
+        match self {
+            Self::Colour(image) => Some([image.width(), image.height()]),
+            Self::Grey(image) => Some([image.width(), image.height()]),
+            Self::Unknown => None,
+        }
+    }
+
     /// Red, green and blue of a pixel.
     pub fn at(&self, x: usize, y: usize) -> [u8; 3] {
         match self {

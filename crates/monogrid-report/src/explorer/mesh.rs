@@ -2,7 +2,8 @@
 
 use super::cloud::grid;
 use crate::picture::base64;
-use crate::surface::{ColouredMesh, extent};
+use crate::surface::{ColouredMesh, Texture, extent};
+use monogrid_datasets::encode_jpeg_rgb;
 use monogrid_occupancy::SurfaceMesh;
 use serde::Serialize;
 use std::borrow::Cow;
@@ -10,6 +11,9 @@ use std::collections::{BTreeMap, HashMap};
 
 /// Triangles on a page at most; of a mesh with more, vertices that lie close together become one.
 const MAX_TRIANGLES: usize = 100_000;
+
+/// Quality of the picture as JPEG.
+const QUALITY: u8 = 80;
 
 /// Cells along the longest side of a mesh of others, where it is made coarser.
 const CELLS_OF_MODEL: f64 = 600.0;
@@ -32,6 +36,33 @@ pub struct PageMesh {
     pub colours: String,
     /// Base64 of three little-endian 32-bit indices per triangle.
     pub triangles: String,
+    /// What its faces look like in more detail.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub texture: Option<PageTexture>,
+}
+
+/// A picture with a block of pixels for each pair of triangles, row by row.
+#[derive(Clone, Debug, Serialize)]
+pub struct PageTexture {
+    /// Side of a block, px.
+    pub block: usize,
+    /// Blocks in a row.
+    pub columns: usize,
+    /// Width and height of the picture, px.
+    pub size: [usize; 2],
+    /// The picture, JPEG in base64.
+    pub image: String,
+}
+
+impl PageTexture {
+    fn new(texture: &Texture) -> Self {
+        Self {
+            block: texture.block,
+            columns: texture.columns,
+            size: [texture.image.width(), texture.image.height()],
+            image: base64(&encode_jpeg_rgb(&texture.image, QUALITY)),
+        }
+    }
 }
 
 impl PageMesh {
@@ -91,6 +122,7 @@ fn clustered(mesh: &ColouredMesh, edge: f64) -> ColouredMesh {
     let colours = sums.iter();
     let colours = colours.map(|s| [3, 4, 5].map(|k| (s[k] / s[6]).round() as u8));
     ColouredMesh {
+        texture: None,
         surface: SurfaceMesh {
             vertices: vertices.collect(),
             triangles: unique.into_values().collect(),
@@ -124,6 +156,7 @@ fn packed(mesh: &ColouredMesh) -> PageMesh {
         count: [surface.vertices.len(), surface.triangles.len()],
         vertices: base64(&vertices),
         colours: base64(mesh.colours.as_flattened()),
+        texture: mesh.texture.as_ref().map(PageTexture::new),
         triangles: base64(&triangles),
     }
 }
@@ -144,6 +177,7 @@ mod tests {
         let vertices: Vec<[f32; 3]> = vertices.collect();
         let first = (0..side - 1).flat_map(|y| (0..side - 1).map(move |x| y * side + x));
         ColouredMesh {
+            texture: None,
             colours: vec![[1, 2, 3]; vertices.len()],
             surface: SurfaceMesh {
                 normals: vec![[0.0, 0.0, 1.0]; vertices.len()],
@@ -178,6 +212,7 @@ mod tests {
         let model = PageMesh::of_model(&square(2)).unwrap();
         assert_eq!((model.both_sides, page.both_sides), (true, false));
         let empty = ColouredMesh {
+            texture: None,
             surface: SurfaceMesh::default(),
             colours: Vec::new(),
         };

@@ -54,8 +54,8 @@ const MARKUP: &str = "<section id=\"explorer\" class=\"explorer\" hidden><div id
     measure. This page is one file without others: send it to show the map.</p><div \
     id=\"timeline-part\"><h3>Over time</h3><canvas id=\"timeline\" class=\"timeline\" \
     tabindex=\"0\" aria-label=\"state of tracking over time\"></canvas><p id=\"legend\" \
-    class=\"legend\"></p><p id=\"moment\" class=\"moment\"></p></div><div \
-    class=\"pair\"><div><h3>From above</h3><form id=\"plan-controls\"></form><div><canvas \
+    class=\"legend\"></p><p id=\"moment\" class=\"moment\"></p></div><div class=\"pair\"><div \
+    id=\"plan-part\"><h3>From above</h3><form id=\"plan-controls\"></form><div><canvas \
     id=\"plan\"></canvas></div></div><div id=\"keyframe-part\"><h3>Keyframe</h3><form \
     id=\"keyframe-controls\"></form><canvas id=\"keyframe\"></canvas><p id=\"keyframe-caption\" \
     class=\"note\"></p></div></div></section>";

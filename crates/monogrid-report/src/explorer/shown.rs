@@ -5,6 +5,7 @@ use super::look::Look;
 use super::{Cloud, CloudPoint, Keyframe, SemiDense, seconds_since};
 use crate::colours::{ColourImage, Colours};
 use crate::picture::{base64, shrink};
+use crate::surface::SurfaceView;
 use monogrid_datasets::{encode_jpeg, encode_jpeg_rgb};
 use monogrid_geometry::{Pinhole, Sim3};
 use monogrid_image::Image;
@@ -34,7 +35,17 @@ pub struct ShownKeyframe<'a> {
     pub semi_dense: SemiDense,
 }
 
-impl ShownKeyframe<'_> {
+impl<'a> ShownKeyframe<'a> {
+    /// The same for a surface that it sees.
+    pub fn view(&self) -> SurfaceView<'a> {
+        SurfaceView {
+            id: self.semi_dense.id(),
+            image: self.image,
+            pinhole: self.pinhole,
+            map_from_keyframe: self.map_from_keyframe,
+        }
+    }
+
     fn look(&self, colours: &Colours) -> Look<'_> {
         Look::of(self.semi_dense.id(), self.image, colours)
     }

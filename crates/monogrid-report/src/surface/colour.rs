@@ -1,5 +1,6 @@
 //! Which colour a cell has: the mean of what the keyframes saw in it.
 
+use super::Texture;
 use crate::colours::Colours;
 use crate::explorer::Look;
 use monogrid_geometry::{Sim3, Vec2};
@@ -64,6 +65,8 @@ pub struct ColouredMesh {
     pub surface: SurfaceMesh,
     /// Red, green and blue of each vertex.
     pub colours: Vec<[u8; 3]>,
+    /// What it looks like in more detail, where that is known.
+    pub texture: Option<Texture>,
 }
 
 impl CellColours {
@@ -143,6 +146,7 @@ impl CellColours {
         Ok(ColouredMesh {
             colours: colours.collect(),
             surface,
+            texture: None,
         })
     }
 }

@@ -3,6 +3,7 @@
 
 use super::{ColouredMesh, usdz};
 use crate::ReportError;
+use monogrid_datasets::encode_jpeg_rgb;
 use monogrid_geometry::nalgebra::Vector3;
 use serde_json::{Value, json};
 use std::io::{self, Write};
@@ -160,22 +161,70 @@ const FLOAT: u32 = 5126;
 const UNSIGNED_SHORT: u32 = 5123;
 const UNSIGNED_INT: u32 = 5125;
 
+/// The bytes of a mesh in glTF.
+struct GlbParts {
+    /// Places, normals, colours or places on the picture, indices, and the picture, if any.
+    parts: Vec<Vec<u8>>,
+    num_vertices: usize,
+}
+
+impl GlbParts {
+    /// Vertices with colours, or, with a picture, four vertices for each face.
+    fn of(mesh: &ColouredMesh) -> Self {
+        let surface = &mesh.surface;
+        let floats = |values: &mut dyn Iterator<Item = [f32; 3]>| -> Vec<u8> {
+            values
+                .flat_map(|v| v.map(f32::to_le_bytes))
+                .flatten()
+                .collect()
+        };
+        let Some(texture) = &mesh.texture else {
+            let indices = surface.triangles.iter().flatten();
+            return Self {
+                parts: vec![
+                    floats(&mut surface.vertices.iter().copied()),
+                    floats(&mut surface.normals.iter().copied()),
+                    mesh.colours.iter().flat_map(linear_colour).collect(),
+                    indices.flat_map(|index| index.to_le_bytes()).collect(),
+                ],
+                num_vertices: surface.vertices.len(),
+            };
+        };
+        let faces = || {
+            let pairs = surface.triangles.as_chunks::<2>().0.iter();
+            pairs.flat_map(|[[a, b, c], [_, _, d]]| [a, b, c, d].map(|i| *i as usize))
+        };
+        let num_faces = surface.triangles.len() / 2;
+        let places = (0..num_faces).flat_map(|face| texture.corners(face));
+        let places = places
+            .flatten()
+            .map(|share| (share * 65_535.0).round() as u16);
+        let corners =
+            (0..num_faces as u32).flat_map(|face| [0, 1, 2, 0, 2, 3].map(|k| 4 * face + k));
+        let mut picture = encode_jpeg_rgb(&texture.image, PICTURE_QUALITY);
+        picture.resize(picture.len().next_multiple_of(4), 0);
+        Self {
+            parts: vec![
+                floats(&mut faces().map(|i| surface.vertices[i])),
+                floats(&mut faces().map(|i| surface.normals.get(i).copied().unwrap_or_default())),
+                places.flat_map(u16::to_le_bytes).collect(),
+                corners.flat_map(u32::to_le_bytes).collect(),
+                picture,
+            ],
+            num_vertices: 4 * num_faces,
+        }
+    }
+}
+
+/// Quality of the picture as JPEG.
+const PICTURE_QUALITY: u8 = 85;
+
 fn write_glb(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result<()> {
-    let surface = &mesh.surface;
-    let bytes = |values: &[[f32; 3]]| -> Vec<u8> {
-        let values = values.as_flattened().iter();
-        values.flat_map(|value| value.to_le_bytes()).collect()
-    };
-    let (vertices, normals) = (bytes(&surface.vertices), bytes(&surface.normals));
-    let colours: Vec<u8> = mesh.colours.iter().flat_map(linear_colour).collect();
-    let indices = surface.triangles.iter().flatten();
-    let indices: Vec<u8> = indices.flat_map(|index| index.to_le_bytes()).collect();
-    let parts = [vertices, normals, colours, indices];
-    let mut description =
-        serde_json::to_vec(&description(mesh, unit, &parts.each_ref().map(Vec::len)))?;
+    let glb = GlbParts::of(mesh);
+    let mut description = serde_json::to_vec(&description(mesh, unit, &glb))?;
     // chunks are multiples of four bytes; JSON is filled with spaces
     description.resize(description.len().next_multiple_of(4), b' ');
-    let binary: usize = parts.iter().map(Vec::len).sum();
+    let binary: usize = glb.parts.iter().map(Vec::len).sum();
     let total = 12 + 8 + description.len() + 8 + binary;
     let number = |length: usize| {
         let length = u32::try_from(length).map_err(io::Error::other)?;
@@ -189,41 +238,49 @@ fn write_glb(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result
     out.write_all(&description)?;
     out.write_all(&number(binary)?)?;
     out.write_all(&BINARY_CHUNK)?;
-    for part in &parts {
+    for part in &glb.parts {
         out.write_all(part)?;
     }
     Ok(())
 }
 
-/// The scene: one node that turns z up to y up, with one mesh; `bytes` of its vertices, normals,
-/// colours and indices.
-fn description(mesh: &ColouredMesh, unit: &str, bytes: &[usize; 4]) -> Value {
+/// The scene: one node that turns z up to y up, with one mesh. What was filmed holds its light
+/// already: a picture is shown as it is.
+fn description(mesh: &ColouredMesh, unit: &str, glb: &GlbParts) -> Value {
     const HALF: f64 = std::f64::consts::FRAC_1_SQRT_2;
     let surface = &mesh.surface;
-    let count = surface.vertices.len();
+    let extras = json!({ "unit": unit });
+    let asset = json!({ "version": "2.0", "generator": "monogrid", "extras": extras });
     if surface.triangles.is_empty() {
         // neither meshes nor buffers may be empty
-        let extras = json!({ "unit": unit });
-        return json!({ "asset": { "version": "2.0", "generator": "monogrid", "extras": extras } });
+        return json!({ "asset": asset });
     }
     let [low, high] = extent(&surface.vertices);
     let mut offset = 0;
-    let views: Vec<Value> = bytes
-        .iter()
-        .zip([34962, 34962, 34962, 34963])
-        .map(|(length, target)| {
-            offset += length;
-            let start = offset - length;
-            json!({ "buffer": 0, "byteOffset": start, "byteLength": length, "target": target })
-        })
-        .collect();
-    json!({
-        "asset": { "version": "2.0", "generator": "monogrid", "extras": { "unit": unit } },
+    let views = glb.parts.iter().enumerate().map(|(k, part)| {
+        offset += part.len();
+        let start = offset - part.len();
+        let mut view = json!({ "buffer": 0, "byteOffset": start, "byteLength": part.len() });
+        match k {
+            0..3 => view["target"] = 34962.into(),
+            3 => view["target"] = 34963.into(),
+            _ => {}
+        }
+        view
+    });
+    let views: Vec<Value> = views.collect();
+    let count = glb.num_vertices;
+    let (third, kind) = match mesh.texture {
+        Some(_) => ("TEXCOORD_0", "VEC2"),
+        None => ("COLOR_0", "VEC4"),
+    };
+    let mut scene = json!({
+        "asset": asset,
         "scene": 0,
         "scenes": [{ "nodes": [0] }],
         "nodes": [{ "mesh": 0, "rotation": [-HALF, 0.0, 0.0, HALF] }],
         "meshes": [{ "primitives": [{
-            "attributes": { "POSITION": 0, "NORMAL": 1, "COLOR_0": 2 },
+            "attributes": { "POSITION": 0, "NORMAL": 1, third: 2 },
             "indices": 3,
             "material": 0,
         }] }],
@@ -238,12 +295,25 @@ fn description(mesh: &ColouredMesh, unit: &str, bytes: &[usize; 4]) -> Value {
               "min": low, "max": high },
             { "bufferView": 1, "componentType": FLOAT, "count": count, "type": "VEC3" },
             { "bufferView": 2, "componentType": UNSIGNED_SHORT, "normalized": true, "count": count,
-              "type": "VEC4" },
+              "type": kind },
             { "bufferView": 3, "componentType": UNSIGNED_INT, "count": 3 * surface.triangles.len(),
               "type": "SCALAR" },
         ],
-    })
+    });
+    if mesh.texture.is_some() {
+        scene["images"] = json!([{ "bufferView": 4, "mimeType": "image/jpeg" }]);
+        scene["samplers"] = json!([{ "magFilter": 9729, "minFilter": 9729 }]);
+        scene["textures"] = json!([{ "source": 0, "sampler": 0 }]);
+        let material = &mut scene["materials"][0];
+        material["pbrMetallicRoughness"]["baseColorTexture"] = json!({ "index": 0 });
+        material["extensions"] = json!({ UNLIT: {} });
+        scene["extensionsUsed"] = json!([UNLIT]);
+    }
+    scene
 }
+
+/// The extension of glTF for what is shown as it is.
+const UNLIT: &str = "KHR_materials_unlit";
 
 /// Colours of vertices are linear in glTF: red, green, blue and an opaque alpha in 16 bits each.
 fn linear_colour(srgb: &[u8; 3]) -> [u8; 8] {
@@ -283,6 +353,7 @@ mod tests {
 
     fn triangle() -> ColouredMesh {
         ColouredMesh {
+            texture: None,
             surface: SurfaceMesh {
                 vertices: vec![[0.0, 0.0, 1.0], [2.0, 0.0, 1.0], [0.0, -3.0, 1.0]],
                 normals: vec![[0.0, 0.0, 1.0]; 3],
@@ -325,6 +396,7 @@ mod tests {
         assert!(half.abs_diff(32768) < 400, "{half}");
         assert_eq!(view(2)[..2], [255, 255]);
         let empty = ColouredMesh {
+            texture: None,
             surface: SurfaceMesh::default(),
             colours: Vec::new(),
         };

@@ -3,8 +3,10 @@
 
 mod colour;
 mod files;
+mod texture;
 mod usdz;
 
 pub use colour::{CellColours, ColouredMesh, ColouredScan};
 pub use files::MeshFormat;
 pub(crate) use files::extent;
+pub use texture::{SurfaceView, Texture};

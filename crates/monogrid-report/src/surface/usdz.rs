@@ -157,6 +157,7 @@ mod tests {
 
     fn triangle() -> ColouredMesh {
         ColouredMesh {
+            texture: None,
             surface: SurfaceMesh {
                 vertices: vec![[0.0, 0.0, 1.0], [2.5, 0.0, 1.0], [0.0, -3.0, 1.0]],
                 normals: vec![[0.0, 0.0, 1.0]; 3],

@@ -7,13 +7,14 @@ use crate::run::summary::unit_name;
 use monogrid_datasets::encode_png_rgb;
 use monogrid_mapping::{Maps, MeshConfig, navigation_band};
 use monogrid_occupancy::{MapFormat, OccupancyMap, Projection, VoxelKey, write_ply};
+use monogrid_report::colours::Colours;
 use monogrid_report::explorer::PagePlan;
 use monogrid_report::picture::colour::quantile;
 use monogrid_report::picture::plan::Plan;
 use monogrid_report::picture::voxels::{
     Cube, View, dollhouse_cut, occupied_cubes, render, render_surface,
 };
-use monogrid_report::surface::{CellColours, ColouredMesh, MeshFormat};
+use monogrid_report::surface::{CellColours, ColouredMesh, MeshFormat, SurfaceView, Texture};
 
 /// Pictures of the final maps, as PNG files.
 #[derive(Debug)]
@@ -73,6 +74,10 @@ pub struct Surface<'a> {
     pub colours: &'a CellColours,
     /// Settings.
     pub config: &'a MeshConfig,
+    /// The keyframes that see it,
+    pub views: &'a [SurfaceView<'a>],
+    /// and their images in colour.
+    pub images: &'a Colours,
 }
 
 /// Writes the global map and its part around the camera, its cells as points, its surface, it from
@@ -142,13 +147,14 @@ fn write_mesh(
     if !surface.config.enabled {
         return Ok(None);
     }
-    let mesh = match surface.colours.mesh(map, surface.config) {
+    let mut mesh = match surface.colours.mesh(map, surface.config) {
         Ok(mesh) => mesh,
         Err(error) => {
             eprintln!("warning: there is no mesh: {error}");
             return Ok(None);
         }
     };
+    mesh.texture = Texture::new(&mesh, surface.views, surface.images);
     let unit = unit_name(ground.is_metric);
     for (name, format) in [("mesh.ply", MeshFormat::Ply), ("mesh.glb", MeshFormat::Glb)] {
         folder.write_with(name, |out| Ok(format.write(&mesh, unit, out)?))?;

@@ -1,7 +1,7 @@
 //! Progress on standard error: a bar on a terminal, a line now and then elsewhere.
 
 use crate::process::progress;
-use crate::process::talk::{self, LINE_EVERY, Rest};
+use crate::process::talk::{self, Rest};
 use crate::run::tracking::frames::{FrameFate, FrameRow};
 use indicatif::ProgressBar;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 pub struct Progress {
     bar: ProgressBar,
     begin: Instant,
-    /// When a line was last written, where there is no terminal for the bar.
-    last_line: Option<Instant>,
+    /// Lines are written, where there is no terminal for the bar.
+    has_lines: bool,
     num_done: usize,
     num_warnings: usize,
     /// Until the last frame the bar talks.
@@ -34,7 +34,7 @@ impl Progress {
         Self {
             bar: bar(num_frames, "frames", show),
             begin: Instant::now(),
-            last_line: (!show).then(Instant::now),
+            has_lines: !show,
             num_done: 0,
             num_warnings: 0,
             resting: Some(talk::rest()),
@@ -58,10 +58,7 @@ impl Progress {
         let total = self.bar.length().unwrap_or_default() as usize;
         let left = left(self.num_done, total, elapsed);
         let text = format!("{rate:.0} per second{left} · {num_keyframes} keyframes · {state}");
-        if let Some(last) = &mut self.last_line
-            && last.elapsed() >= LINE_EVERY
-        {
-            *last = Instant::now();
+        if self.has_lines && talk::is_due() {
             match total {
                 0 => eprintln!("{} frames · {text}", self.num_done),
                 _ => eprintln!("{} of {total} frames · {text}", self.num_done),
@@ -105,7 +102,6 @@ pub fn watched<T>(
         scope.spawn(move || {
             let bar = bar(total, &format!("{of} · {what}"), show);
             let begin = Instant::now();
-            let mut last_line = begin;
             // an end of the work closes the channel
             while wait.recv_timeout(LOOK_EVERY) == Err(RecvTimeoutError::Timeout) {
                 look();
@@ -113,8 +109,7 @@ pub fn watched<T>(
                 let left = left(num_done, total, begin.elapsed());
                 bar.set_position(num_done as u64);
                 bar.set_message(left.clone());
-                if !show && last_line.elapsed() >= LINE_EVERY {
-                    last_line = Instant::now();
+                if !show && talk::is_due() {
                     match total {
                         0 => eprintln!("{what}: {num_done} {of}"),
                         _ => eprintln!("{what}: {num_done} of {total} {of}{left}"),

@@ -247,7 +247,11 @@ fn of_model(source: &Path) -> Result<Shown, Failure> {
             triangles,
             ..SurfaceMesh::default()
         };
-        let mesh = ColouredMesh { surface, colours };
+        let mesh = ColouredMesh {
+            surface,
+            colours,
+            texture: None,
+        };
         let scene = Scene {
             mesh: PageMesh::of_model(&mesh),
             ..Scene::default()

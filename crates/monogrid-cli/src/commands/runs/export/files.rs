@@ -101,6 +101,7 @@ pub fn write_mesh(run: &Path, output: &OutputFile, format: MeshFormat) -> Result
     }
     let count = triangles.len();
     let mesh = ColouredMesh {
+        texture: None,
         colours: vertices.iter().map(|v| [v.red, v.green, v.blue]).collect(),
         surface: SurfaceMesh {
             vertices: vertices.iter().map(|v| [v.x, v.y, v.z]).collect(),

@@ -22,6 +22,7 @@ use monogrid_datasets::{
 };
 use monogrid_geometry::Sim3;
 use monogrid_report::Page;
+use monogrid_report::colours::Colours;
 use monogrid_report::explorer::{Cells, PageMesh, Scene, write_section};
 use scale::{Results, ScaleFrom};
 use serde_json::{Value, json};
@@ -42,7 +43,7 @@ pub struct RescaleArgs {
     /// Output folder
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Edge length of a cell, metres [default: the run's, where it was given, else 0.05]
+    /// Edge length of a cell, metres [default: the run's]
     #[arg(long, value_name = "L", value_parser = positive)]
     pub resolution: Option<f64>,
     /// Threads of computation [default: all cores]; the results do not depend on it
@@ -113,7 +114,10 @@ pub fn execute(args: &RescaleArgs) -> CommandResult {
     let path = path_of(&poses);
     let run = args.run.display();
     let lead = format!("In metres: one map unit of {run} is {factor:.4} m.");
-    let summary = write_maps(&folder, (summary, &lead), &path, args.resolution, threads)?;
+    // a cell that followed from the scene is as large as it was
+    let of_scene = summary["map"]["cell"]["edge"].as_f64();
+    let resolution = args.resolution.or(of_scene.map(|edge| edge * factor));
+    let summary = write_maps(&folder, (summary, &lead), &path, resolution, threads)?;
     let report = json!({
         "metres_per_map_unit": factor,
         "map": summary["map"],
@@ -275,6 +279,8 @@ pub fn write_maps(
     let surface = Surface {
         colours,
         config: &config.mesh,
+        views: &recorded.surface_views(),
+        images: &Colours::of(&recorded.keyframes),
     };
     let (_, pictures) = write_global(folder, [&global, &local], path, ground, surface)?;
     let (scene, _) = recorded.scene();
