@@ -95,9 +95,13 @@ pub fn render_coloured(cubes: &[Cube], colours: &[[u8; 3]], view: &View) -> Pict
     shrink(&canvas.picture, OVERSAMPLING, |pixel| pixel)
 }
 
-/// Renders a surface, in the colours of its vertices, from the side that it faces: what is seen
-/// from behind is not there, so that one looks into a room.
-pub fn render_surface(surface: &SurfaceMesh, colours: &[[u8; 3]], path: &[[f64; 3]]) -> Picture {
+/// Renders a surface from the side that it faces: what is seen from behind is not there, so that
+/// one looks into a room. Colours are those of triangles at shares of their corners.
+pub fn render_surface(
+    surface: &SurfaceMesh,
+    colour_at: impl Fn(usize, [f64; 3]) -> [u8; 3],
+    path: &[[f64; 3]],
+) -> Picture {
     let places = surface.vertices.iter().map(|vertex| Cube {
         center: vertex.map(f64::from),
         size: 0.0,
@@ -108,10 +112,9 @@ pub fn render_surface(surface: &SurfaceMesh, colours: &[[u8; 3]], path: &[[f64; 
         ..View::default()
     };
     let mut canvas = Canvas::new(&view, &places, path);
-    for triangle in &surface.triangles {
+    for (number, triangle) in surface.triangles.iter().enumerate() {
         let corners = triangle.map(|i| places[i as usize].center);
-        let colours = triangle.map(|i| colours.get(i as usize).copied().unwrap_or([128; 3]));
-        canvas.fill_triangle(corners, colours);
+        canvas.fill_triangle(corners, |shares| colour_at(number, shares));
     }
     canvas.shade_depth_steps();
     for pair in path.windows(2) {
@@ -329,7 +332,7 @@ impl Canvas {
 
     /// Fills a triangle that faces the viewer, nearest distance wins; lit from above a little, so
     /// that its shape is seen.
-    fn fill_triangle(&mut self, corners: [[f64; 3]; 3], colours: [[u8; 3]; 3]) {
+    fn fill_triangle(&mut self, corners: [[f64; 3]; 3], colour_at: impl Fn([f64; 3]) -> [u8; 3]) {
         const LIGHT: [f64; 3] = [0.303, 0.505, 0.808];
         let normal = normal_of(corners);
         if dot(normal, self.axes[2]) >= 0.0 {
@@ -361,12 +364,8 @@ impl Canvas {
                 let index = y * width + x;
                 if (depth as f32) < self.depth[index] {
                     self.depth[index] = depth as f32;
-                    let mixed = [0, 1, 2].map(|k| {
-                        let parts = colours.iter().zip(shares);
-                        let value: f64 = parts.map(|(c, share)| share * f64::from(c[k])).sum();
-                        value.round() as u8
-                    });
-                    self.picture.set(x, y, colour::shade(mixed, brightness));
+                    let own = colour_at(shares);
+                    self.picture.set(x, y, colour::shade(own, brightness));
                 }
             }
         }
@@ -460,8 +459,8 @@ mod tests {
             ..SurfaceMesh::default()
         };
         assert_eq!(faced_azimuth(&surface), Some(0.0));
-        let colours = [[[200, 0, 0]; 4], [[0, 0, 200]; 4]].concat();
-        let seen = render_surface(&surface, &colours, &[]);
+        let colour = |triangle, _| [[200, 0, 0], [0, 0, 200]][triangle / 2];
+        let seen = render_surface(&surface, colour, &[]);
         let pixels = seen.as_slice().iter();
         let of = |channel: usize| {
             let is_it = |p: &&[u8; 3]| p[channel] > 100 && p[2 - channel] == 0;

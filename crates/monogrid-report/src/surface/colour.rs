@@ -69,6 +69,35 @@ pub struct ColouredMesh {
     pub texture: Option<Texture>,
 }
 
+impl ColouredMesh {
+    /// The colour of a place in a triangle, given by the shares of its corners.
+    pub fn colour_at(&self, triangle: usize, shares: [f64; 3]) -> [u8; 3] {
+        let mix = |values: [[f64; 3]; 3]| {
+            [0, 1, 2].map(|k| {
+                (0..3)
+                    .map(|corner| shares[corner] * values[corner][k])
+                    .sum::<f64>()
+            })
+        };
+        let corners = self.surface.triangles[triangle];
+        match &self.texture {
+            Some(texture) => {
+                let [a, b, c, d] = texture.corners(triangle / 2).map(|[u, v]| [u, v, 0.0]);
+                let second = triangle % 2 == 1;
+                let [u, v, _] = mix(if second { [a, c, d] } else { [a, b, c] });
+                let image = &texture.image;
+                let pixel =
+                    |share: f64, side: usize| ((share * side as f64) as usize).min(side - 1);
+                image.at(pixel(u, image.width()), pixel(v, image.height()))
+            }
+            None => {
+                let colour = |i: u32| self.colours.get(i as usize).copied().unwrap_or(UNKNOWN);
+                mix(corners.map(|i| colour(i).map(f64::from))).map(|value| value.round() as u8)
+            }
+        }
+    }
+}
+
 impl CellColours {
     /// Nothing is known: all is of a middle grey.
     pub fn unknown() -> Self {

@@ -1,9 +1,10 @@
-//! Binary glTF (`.glb`): triangles of its scene with the colours of their vertices, else of their
-//! materials; z up, as everywhere here. Textures are not looked at.
+//! Binary glTF (`.glb`): triangles of its scene with the colours that vertices, materials and
+//! pictures give their vertices; z up, as everywhere here.
 
-use super::{MeshModel, linear_luma};
-use monogrid_datasets::{DatasetError, open_file};
+use super::{MeshModel, albedo_of_grey, linear_luma};
+use monogrid_datasets::{DatasetError, decode_jpeg_rgb, open_file};
 use monogrid_geometry::nalgebra::{Matrix4, Quaternion, UnitQuaternion, Vector3};
+use monogrid_image::Image;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::io::Read;
@@ -11,6 +12,9 @@ use std::path::Path;
 
 /// Vertices of a scene at most; a mesh may be in it many times.
 const MAX_VERTICES: usize = 1 << 24;
+
+/// Pictures that are decoded at most; what is beyond them has the colours of vertices and materials.
+const MAX_PICTURES: usize = 64;
 
 /// From y up to z up.
 const Z_UP: Matrix4<f32> = Matrix4::new(
@@ -36,6 +40,7 @@ fn parse(bytes: &[u8]) -> Result<MeshModel, String> {
         json: &json,
         binary,
         visited: BTreeSet::new(),
+        pictures_left: MAX_PICTURES,
         model: MeshModel::default(),
     };
     let number = json["scene"].as_u64().unwrap_or(0) as usize;
@@ -80,6 +85,7 @@ struct Scene<'a> {
     binary: &'a [u8],
     /// A scene is a tree.
     visited: BTreeSet<usize>,
+    pictures_left: usize,
     model: MeshModel,
 }
 
@@ -118,10 +124,24 @@ impl Scene<'_> {
         let material = part["material"].as_u64().unwrap_or(u64::MAX) as usize;
         let material = &self.json["materials"][material]["pbrMetallicRoughness"];
         let factor = floats::<4>(&material["baseColorFactor"]).unwrap_or([1.0; 4]);
-        let colours = match &attributes["COLOR_0"] {
+        let mut colours = match &attributes["COLOR_0"] {
             Value::Null => vec![[1.0; 4]; places.len()],
             colours => self.accessor(colours)?,
         };
+        if let Some(picture) = self.picture(&material["baseColorTexture"]["index"]) {
+            let on = self.accessor(&attributes["TEXCOORD_0"])?;
+            for (colour, [u, v, ..]) in colours.iter_mut().zip(on) {
+                let at = |share: f64, side: usize| {
+                    // pictures repeat
+                    let pixel = (share - share.floor()) * side as f64;
+                    (pixel as usize).min(side - 1)
+                };
+                let shown = picture.at(at(u, picture.width()), at(v, picture.height()));
+                for (value, shown) in colour.iter_mut().zip(shown) {
+                    *value *= f64::from(albedo_of_grey(f32::from(shown)));
+                }
+            }
+        }
         let corners = match &part["indices"] {
             Value::Null => (0..places.len()).collect(),
             indices => {
@@ -151,6 +171,20 @@ impl Scene<'_> {
         Ok(())
     }
 
+    /// The picture of a texture; `None` where there is none, or it is no JPEG.
+    fn picture(&mut self, texture: &Value) -> Option<Image<[u8; 3]>> {
+        let texture = &self.json["textures"][texture.as_u64()? as usize];
+        self.pictures_left = self.pictures_left.checked_sub(1)?;
+        let image = &self.json["images"][texture["source"].as_u64()? as usize];
+        let view = &self.json["bufferViews"][image["bufferView"].as_u64()? as usize];
+        let bytes = self
+            .binary
+            .get(view["byteOffset"].as_u64().unwrap_or(0) as usize..)?;
+        let bytes = bytes.get(..view["byteLength"].as_u64()? as usize)?;
+        let name = Path::new("picture of a .glb");
+        decode_jpeg_rgb(bytes, MAX_VERTICES, name).ok()?
+    }
+
     /// The values of an accessor, up to four each.
     fn accessor(&self, number: &Value) -> Result<Vec<[f64; 4]>, String> {
         self.values(number)
@@ -164,6 +198,7 @@ impl Scene<'_> {
         let count = accessor["count"].as_u64()? as usize;
         let components = match accessor["type"].as_str()? {
             "SCALAR" => 1,
+            "VEC2" => 2,
             "VEC3" => 3,
             "VEC4" => 4,
             _ => return None,
@@ -277,6 +312,33 @@ mod tests {
             (places.to_vec(), vec![[0, 2, 1]])
         );
         assert_eq!(mesh.colours, [[255, 0, 188]; 3]);
+    }
+
+    #[test]
+    fn a_picture_gives_vertices_their_colours() {
+        let (mut json, mut binary) = triangle();
+        let picture = Image::from_fn(16, 8, |x, _| if x < 8 { [250, 0, 0] } else { [0, 0, 250] });
+        let jpeg = monogrid_datasets::encode_jpeg_rgb(&picture, 95);
+        binary.extend(
+            [0.25f32, 0.5, 0.75, 0.5, 0.75, 0.9]
+                .map(f32::to_le_bytes)
+                .as_flattened(),
+        );
+        binary.extend(&jpeg);
+        let material = &mut json["materials"][0]["pbrMetallicRoughness"];
+        *material = json!({ "baseColorTexture": { "index": 0 } });
+        json["textures"] = json!([{ "source": 0 }]);
+        json["images"] = json!([{ "bufferView": 3, "mimeType": "image/jpeg" }]);
+        json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = 2.into();
+        let views = json["bufferViews"].as_array_mut().unwrap();
+        views.push(json!({ "byteOffset": 40, "byteLength": 24 }));
+        views.push(json!({ "byteOffset": 64, "byteLength": jpeg.len() }));
+        let accessors = json["accessors"].as_array_mut().unwrap();
+        accessors
+            .push(json!({ "bufferView": 2, "componentType": 5126, "count": 3, "type": "VEC2" }));
+        let colours = parse(&file(&json, &binary)).unwrap().mesh.colours;
+        assert!(colours[0][0] > 230 && colours[0][2] < 20, "{colours:?}");
+        assert!(colours[1][0] < 20 && colours[1][2] > 230, "{colours:?}");
     }
 
     #[test]

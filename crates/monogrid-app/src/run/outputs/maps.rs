@@ -106,7 +106,7 @@ pub fn write_global(
     let ((cubes, cut, plan), mesh) = (drawn?, mesh?);
     let preview = encode_png_rgb(&match &mesh {
         Some(mesh) if !mesh.colours.is_empty() => {
-            render_surface(&mesh.surface, &mesh.colours, path)
+            render_surface(&mesh.surface, |t, shares| mesh.colour_at(t, shares), path)
         }
         _ => render(&cubes, path, cut, &View::default()),
     });

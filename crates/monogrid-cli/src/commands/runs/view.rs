@@ -193,7 +193,7 @@ impl Shown {
 
     fn picture(&self) -> monogrid_report::picture::Picture {
         match &self.surface {
-            Some(mesh) => render_surface(&mesh.surface, &mesh.colours, &[]),
+            Some(mesh) => render_surface(&mesh.surface, |t, shares| mesh.colour_at(t, shares), &[]),
             None => render(&self.cubes, &self.path(), self.scene.cut, &View::default()),
         }
     }

@@ -23,7 +23,7 @@ use monogrid_datasets::{
 use monogrid_geometry::Sim3;
 use monogrid_report::Page;
 use monogrid_report::colours::Colours;
-use monogrid_report::explorer::{Cells, PageMesh, Scene, write_section};
+use monogrid_report::explorer::{Cells, PageMesh, PathPoint, Scene, write_section};
 use scale::{Results, ScaleFrom};
 use serde_json::{Value, json};
 use std::io::Write;
@@ -246,6 +246,12 @@ fn append(
     revision.map_or(Ok(()), |revision| writer.append_depth(revision))
 }
 
+/// A place of the path as pages have it.
+fn path_point((number, place): (usize, &[f64; 3])) -> PathPoint {
+    let [x, y, z] = place.map(|value| value as f32);
+    (number, x, y, z)
+}
+
 /// Builds the maps of the recording in a folder, beside which its frame lies, around where the
 /// camera was, and writes `summary.json` with what is known and facts about the maps, and a report
 /// that begins with `lead`; that summary.
@@ -290,6 +296,7 @@ pub fn write_maps(
         mesh: mesh.and_then(|mesh| PageMesh::new(mesh, global.resolution())),
         plan: pictures.plan.clone(),
         cut: pictures.cut,
+        path: path.iter().enumerate().map(path_point).collect(),
         ..scene
     };
     folder.write_with("report.html", |out| {
