@@ -25,7 +25,7 @@ use monogrid_datasets::TimedPose;
 use monogrid_evaluation::{DepthReport, MapReport};
 use monogrid_geometry::{Pinhole, Se3, Sim3, Vec3};
 use monogrid_mapping::{
-    ImageOf, KeyframeCamera, KeyframeScan, Maps, SceneCell, UprightView, scene_cell,
+    ImageOf, KeyframeCamera, KeyframeScan, Maps, MeshConfig, SceneCell, UprightView, scene_cell,
 };
 use monogrid_pipeline::attempt;
 use monogrid_report::colours::Colours;
@@ -94,10 +94,8 @@ fn run_watched(
     let salvage = Salvage::watch(&input.name, folder, settings)?;
     let mut tracked = track(input, folder, settings, viewer, Some(&salvage))?;
     let scans = final_depth(&mut tracked, settings);
-    talk::doing("which way is up, and where the results are");
     let mut looked = Looked::at(&tracked, &scans, align, input, settings);
     let (known, not_compared) = known_path(input, align, &tracked, &mut looked.frame);
-    talk::doing("poses, colours and points are written");
     let poses = outputs::final_poses(&tracked, &looked.frame);
     outputs::write_tables(folder, &tracked, &looked.frame, &poses, settings)?;
     outputs::write_bridged(folder, &looked.sensed.bridged, &looked.frame)?;
@@ -117,17 +115,9 @@ fn run_watched(
         Ok(maps) => (maps, early_failure(&tracked)),
         Err(error) => (None, Some(error)),
     };
-    talk::doing("maps and the surface are written");
-    let write = |maps| {
-        let surface = Surface {
-            colours: &cell_colours,
-            config: &mapping.mesh,
-            views: &shown.iter().map(ShownKeyframe::view).collect::<Vec<_>>(),
-            images: &colours,
-        };
-        let ground = ground(&tracked, &looked.frame);
-        outputs::write_maps(folder, maps, &paths, ground, surface)
-    };
+    let seen = (shown.as_slice(), &colours, &cell_colours);
+    let surface = (seen, &mapping.mesh, ground(&tracked, &looked.frame));
+    let write = |maps| write_maps(folder, maps, &paths, surface);
     let pictures = maps.as_ref().map(write).transpose()?;
     talk::doing("the map is judged");
     let mut extras = extras(&tracked, maps.as_ref())?;
@@ -150,7 +140,6 @@ fn run_watched(
         pictures,
         config: &config,
     };
-    talk::doing("the report is written");
     play(folder, &report, settings, &tracked, &poses)?;
     folder.write_with("report.html", |out| write_page(out, &tracked, &report))?;
     write_summary(folder, &mut summary)?;
@@ -160,6 +149,27 @@ fn run_watched(
         verdict,
         failure,
     })
+}
+
+/// Writes the maps, with the surface as the keyframes show it.
+fn write_maps(
+    folder: &OutputFolder,
+    maps: &Maps,
+    paths: &outputs::Paths,
+    ((shown, images, colours), config, ground): (
+        (&[ShownKeyframe], &Colours, &CellColours),
+        &MeshConfig,
+        Ground,
+    ),
+) -> Result<outputs::MapPictures, Failure> {
+    talk::doing("maps and the surface are written");
+    let surface = Surface {
+        colours,
+        config,
+        views: &shown.iter().map(ShownKeyframe::view).collect::<Vec<_>>(),
+        images,
+    };
+    outputs::write_maps(folder, maps, paths, ground, surface)
 }
 
 /// The first lines of the report: how far to trust the map, and how the run went.
@@ -183,6 +193,7 @@ fn play(
     tracked: &Tracked,
     poses: &[TimedPose],
 ) -> Result<(), Failure> {
+    talk::doing("the report is written");
     leave_room(tracked, settings.memory_limit);
     let Some(file) = &settings.mcap else {
         return Ok(());
@@ -255,6 +266,7 @@ impl Looked {
         input: &Input,
         settings: &RunSettings,
     ) -> Self {
+        talk::doing("which way is up, and where the results are");
         let keyframes = tracked.run.slam.keyframes();
         let views = keyframes.iter().zip(scans).filter_map(|(keyframe, scan)| {
             Some(UprightView {

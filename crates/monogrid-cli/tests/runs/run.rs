@@ -407,6 +407,17 @@ fn the_surface_is_coloured(out: &Path, mesh: &serde_json::Value) {
     assert!(triangles > 100, "{triangles}");
     assert_eq!(block_bytes(&mesh["colours"]), 3 * vertices);
     assert_eq!(block_bytes(&mesh["triangles"]), 12 * triangles);
+    // a block of pixels for each face, in the page and for other programs
+    let number = |value: &serde_json::Value| value.as_u64().unwrap() as usize;
+    let texture = &mesh["texture"];
+    let blocks = [0, 1].map(|k| number(&texture["size"][k]) / number(&texture["block"]));
+    assert!(blocks[0] * blocks[1] >= triangles / 2, "{blocks:?}");
+    assert!(block_bytes(&texture["image"]) > triangles);
+    let glb = fs::read(out.join("mesh.glb")).unwrap();
+    let description = String::from_utf8_lossy(&glb[..3000]);
+    for part in ["TEXCOORD_0", "image/jpeg", "KHR_materials_unlit"] {
+        assert!(description.contains(part), "{part}");
+    }
     let cells = fs::read(out.join("cells.ply")).unwrap();
     assert!(String::from_utf8_lossy(&cells[..300]).contains("property uchar blue"));
     let dir = tempfile::tempdir().unwrap();

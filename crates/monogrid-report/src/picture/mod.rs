@@ -56,9 +56,53 @@ pub fn shrink<T: Copy, const N: usize>(
     })
 }
 
+/// Visits the pixels of an image of this size whose centres lie in a triangle, with the shares of
+/// its corners there.
+pub fn over_triangle(
+    [a, b, c]: [[f64; 2]; 3],
+    size: [usize; 2],
+    mut visit: impl FnMut(usize, usize, [f64; 3]),
+) {
+    let area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+    let bound = |axis: usize| {
+        let values = [a[axis], b[axis], c[axis]];
+        let low = values.into_iter().fold(f64::INFINITY, f64::min);
+        let high = values.into_iter().fold(f64::NEG_INFINITY, f64::max);
+        let most = size[axis] as f64;
+        let low = low.ceil().clamp(0.0, most) as usize;
+        low..((high.floor() + 1.0).clamp(0.0, most) as usize).max(low)
+    };
+    let (columns, rows) = (bound(0), bound(1));
+    for y in rows {
+        for x in columns.clone() {
+            let share = |from: [f64; 2], to: [f64; 2]| {
+                let (dx, dy) = (x as f64 - from[0], y as f64 - from[1]);
+                ((to[0] - from[0]) * dy - (to[1] - from[1]) * dx) / area
+            };
+            let shares = [share(b, c), share(c, a), share(a, b)];
+            // a triangle without area has no pixels
+            if shares.iter().all(|share| *share >= 0.0) {
+                visit(x, y, shares);
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_triangle_has_the_pixels_in_it() {
+        let mut found = Vec::new();
+        let corners = [[-1.0, 0.0], [2.0, 0.0], [2.0, 3.0]];
+        over_triangle(corners, [9, 2], |x, y, shares| {
+            assert!((shares.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+            found.push([x, y]);
+        });
+        assert_eq!(found, [[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1]]);
+        over_triangle([[1.0, 1.0]; 3], [9, 9], |_, _, _| panic!("it has no area"));
+    }
 
     #[test]
     fn base64_agrees_with_the_test_vectors_of_rfc_4648() {

@@ -1,7 +1,7 @@
 //! A view of a map: occupied cells as shaded cubes, seen from above at an angle, with the camera's
 //! path.
 
-use super::{Picture, colour, shrink};
+use super::{Picture, colour, over_triangle, shrink};
 use monogrid_occupancy::{MapError, Occupancy, OccupancyMap, SurfaceMesh};
 use std::collections::BTreeMap;
 
@@ -341,34 +341,17 @@ impl Canvas {
         let lit = dot(normal, LIGHT).abs() / dot(normal, normal).sqrt();
         let brightness = 0.8 + 0.2 * lit;
         let [a, b, c] = corners.map(|corner| self.project(corner));
-        let area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
-        let (width, height) = (self.picture.width(), self.picture.height());
-        let bound = |axis: usize, limit: usize| {
-            let values = [a[axis], b[axis], c[axis]];
-            let low = values.into_iter().fold(f64::INFINITY, f64::min);
-            let high = values.into_iter().fold(f64::NEG_INFINITY, f64::max);
-            let low = low.ceil().max(0.0) as usize;
-            low..((high.floor() + 1.0).clamp(0.0, limit as f64) as usize).max(low)
-        };
-        for y in bound(1, height) {
-            for x in bound(0, width) {
-                let share = |from: [f64; 3], to: [f64; 3]| {
-                    let (dx, dy) = (x as f64 - from[0], y as f64 - from[1]);
-                    ((to[0] - from[0]) * dy - (to[1] - from[1]) * dx) / area
-                };
-                let shares = [share(b, c), share(c, a), share(a, b)];
-                if shares.iter().any(|share| !(*share >= 0.0)) {
-                    continue;
-                }
-                let depth = shares[0] * a[2] + shares[1] * b[2] + shares[2] * c[2];
-                let index = y * width + x;
-                if (depth as f32) < self.depth[index] {
-                    self.depth[index] = depth as f32;
-                    let own = colour_at(shares);
-                    self.picture.set(x, y, colour::shade(own, brightness));
-                }
+        let size = [self.picture.width(), self.picture.height()];
+        let pixels = [a, b, c].map(|[x, y, _]| [x, y]);
+        over_triangle(pixels, size, |x, y, shares| {
+            let depth = (shares[0] * a[2] + shares[1] * b[2] + shares[2] * c[2]) as f32;
+            let nearest = &mut self.depth[y * size[0] + x];
+            if depth < *nearest {
+                *nearest = depth;
+                let own = colour::shade(colour_at(shares), brightness);
+                self.picture.set(x, y, own);
             }
-        }
+        });
     }
 
     /// Darkens pixels that lie behind their neighbours, which makes edges readable.

@@ -257,14 +257,14 @@ fn description(mesh: &ColouredMesh, unit: &str, glb: &GlbParts) -> Value {
     }
     let [low, high] = extent(&surface.vertices);
     let mut offset = 0;
-    let views = glb.parts.iter().enumerate().map(|(k, part)| {
+    let targets = [34962, 34962, 34962, 34963].into_iter().map(Value::from);
+    let views = glb.parts.iter().zip(targets.map(Some).chain([None]));
+    let views = views.map(|(part, target)| {
         offset += part.len();
         let start = offset - part.len();
         let mut view = json!({ "buffer": 0, "byteOffset": start, "byteLength": part.len() });
-        match k {
-            0..3 => view["target"] = 34962.into(),
-            3 => view["target"] = 34963.into(),
-            _ => {}
+        if let Some(target) = target {
+            view["target"] = target;
         }
         view
     });
@@ -301,15 +301,21 @@ fn description(mesh: &ColouredMesh, unit: &str, glb: &GlbParts) -> Value {
         ],
     });
     if mesh.texture.is_some() {
-        scene["images"] = json!([{ "bufferView": 4, "mimeType": "image/jpeg" }]);
-        scene["samplers"] = json!([{ "magFilter": 9729, "minFilter": 9729 }]);
-        scene["textures"] = json!([{ "source": 0, "sampler": 0 }]);
-        let material = &mut scene["materials"][0];
-        material["pbrMetallicRoughness"]["baseColorTexture"] = json!({ "index": 0 });
-        material["extensions"] = json!({ UNLIT: {} });
-        scene["extensionsUsed"] = json!([UNLIT]);
+        add_picture(&mut scene);
     }
     scene
+}
+
+/// The picture, which is the fifth part, and the material that shows it.
+fn add_picture(scene: &mut Value) {
+    const LINEAR: u32 = 9729;
+    scene["images"] = json!([{ "bufferView": 4, "mimeType": "image/jpeg" }]);
+    scene["samplers"] = json!([{ "magFilter": LINEAR, "minFilter": LINEAR }]);
+    scene["textures"] = json!([{ "source": 0, "sampler": 0 }]);
+    let material = &mut scene["materials"][0];
+    material["pbrMetallicRoughness"]["baseColorTexture"] = json!({ "index": 0 });
+    material["extensions"] = json!({ UNLIT: {} });
+    scene["extensionsUsed"] = json!([UNLIT]);
 }
 
 /// The extension of glTF for what is shown as it is.

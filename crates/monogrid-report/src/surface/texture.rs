@@ -4,6 +4,7 @@
 use super::ColouredMesh;
 use crate::colours::{ColourImage, Colours};
 use crate::explorer::Look;
+use crate::picture::over_triangle;
 use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 use monogrid_image::luma_of_rgb;
 use monogrid_mapping::ImageOf;
@@ -319,30 +320,12 @@ impl Depths {
 
     /// Fills a triangle of columns, rows and inverse depths.
     fn fill(&mut self, [a, b, c]: [[f64; 3]; 3]) {
-        let area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
-        let bound = |axis: usize| {
-            let values = [a[axis], b[axis], c[axis]];
-            let low = values.into_iter().fold(f64::INFINITY, f64::min);
-            let high = values.into_iter().fold(f64::NEG_INFINITY, f64::max);
-            let most = self.size[axis] as f64;
-            let low = low.ceil().clamp(0.0, most) as usize;
-            low..((high.floor() + 1.0).clamp(0.0, most) as usize).max(low)
-        };
-        let (columns, rows) = (bound(0), bound(1));
-        for y in rows {
-            for x in columns.clone() {
-                let share = |from: [f64; 3], to: [f64; 3]| {
-                    let (dx, dy) = (x as f64 - from[0], y as f64 - from[1]);
-                    ((to[0] - from[0]) * dy - (to[1] - from[1]) * dx) / area
-                };
-                let shares = [share(b, c), share(c, a), share(a, b)];
-                if shares.iter().all(|share| *share >= 0.0) {
-                    let inverse = shares[0] * a[2] + shares[1] * b[2] + shares[2] * c[2];
-                    let nearest = &mut self.nearest[y * self.size[0] + x];
-                    *nearest = nearest.min((1.0 / inverse) as f32);
-                }
-            }
-        }
+        let (size, pixels) = (self.size, [a, b, c].map(|[x, y, _]| [x, y]));
+        over_triangle(pixels, size, |x, y, shares| {
+            let inverse = shares[0] * a[2] + shares[1] * b[2] + shares[2] * c[2];
+            let nearest = &mut self.nearest[y * size[0] + x];
+            *nearest = nearest.min((1.0 / inverse) as f32);
+        });
     }
 
     /// Whether nothing is before what is so deep at a pixel, and of a face as wide as `far`.

@@ -13,7 +13,7 @@ use std::path::Path;
 /// Vertices of a scene at most; a mesh may be in it many times.
 const MAX_VERTICES: usize = 1 << 24;
 
-/// Pictures that are decoded at most; what is beyond them has the colours of vertices and materials.
+/// Pictures that are decoded at most: beyond them there are the colours of vertices and materials.
 const MAX_PICTURES: usize = 64;
 
 /// From y up to z up.

@@ -2,6 +2,7 @@
 
 use crate::output::OutputFolder;
 use crate::process::failure::{Classify, Failure};
+use crate::process::talk;
 use crate::run::RunSettings;
 use crate::run::align::{MapFrame, in_map};
 use crate::run::sessions::{Earlier, MAP_FROM_WORLD, tracked_frame};
@@ -30,6 +31,7 @@ pub fn write_tables(
     final_poses: &[TimedPose],
     settings: &RunSettings,
 ) -> Result<(), Failure> {
+    talk::doing("poses, colours and points are written");
     folder.write("trajectory.txt", format_tum(final_poses))?;
     for fragment in tracked.run.slam.fragments() {
         // z up as its first camera was held

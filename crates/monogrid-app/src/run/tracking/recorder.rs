@@ -30,7 +30,7 @@ pub struct Recorder {
     source: String,
     earlier: Option<Earlier>,
     /// Colour of the frames of this run.
-    source_colours: ColourSource,
+    source_colours: Option<ColourSource>,
 }
 
 /// What is said of a recording that cannot be written.
@@ -41,7 +41,7 @@ impl Recorder {
     pub fn start(
         folder: Arc<OutputFolder>,
         session: &SessionInfo,
-        (earlier, source_colours): (Option<Earlier>, ColourSource),
+        (earlier, source_colours): (Option<Earlier>, Option<ColourSource>),
         policy: Option<SubmapPolicy>,
     ) -> Result<Self, Failure> {
         let writer =
@@ -67,7 +67,7 @@ impl Recorder {
                 let keyframe = &loaded(kept, DOING)?;
                 let record = keyframe_record(keyframe, None);
                 writer.append_keyframe(record).while_running(DOING)?;
-                let sources = (self.earlier.as_ref(), &self.source_colours);
+                let sources = (self.earlier.as_ref(), self.source_colours.as_ref());
                 let jpeg = colour(keyframe, sources);
                 if let Some(jpeg) = jpeg.clone() {
                     let keyframe_id = keyframe.id;
@@ -164,13 +164,13 @@ pub fn depth_revision(keyframe: &Keyframe) -> DepthRevision {
 /// The colour of a keyframe, as JPEG: of an earlier run, or of the source of this one.
 fn colour(
     keyframe: &Keyframe,
-    (earlier, source): (Option<&Earlier>, &ColourSource),
+    (earlier, source): (Option<&Earlier>, Option<&ColourSource>),
 ) -> Option<Vec<u8>> {
     match earlier {
         Some(earlier) if (keyframe.id as usize) < earlier.map.keyframes.len() => {
             earlier.colours.jpeg(keyframe.id).map(<[u8]>::to_vec)
         }
-        _ => source.keyframe(keyframe),
+        _ => source?.keyframe(keyframe),
     }
 }
 

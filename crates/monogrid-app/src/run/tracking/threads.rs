@@ -44,7 +44,7 @@ pub fn track(
         let source_colours = ColourSource::of(input);
         frame_colours = Some(Arc::clone(&source_colours.kept));
         let earlier = settings.earlier().cloned();
-        let sources = (earlier, source_colours);
+        let sources = (earlier, Some(source_colours));
         let recorder = Recorder::start(Arc::clone(folder), &session, sources, settings.submaps)?;
         pipeline.listen(recorder).map_err(Failure::running)?;
     }
