@@ -104,9 +104,11 @@ export class Plan {
   // A bar of a round length.
   ruler(context, width, height, scale) {
     const { size, text } = bar((0.25 * width) / scale, this.data.unit);
+    context.font = '12px system-ui,sans-serif';
+    context.fillStyle = 'rgba(255,255,255,0.8)';
+    context.fillRect(8, height - 34, Math.max(size * scale, context.measureText(text).width) + 8, 28);
     context.fillStyle = '#2a7fc8';
     context.fillRect(12, height - 14, size * scale, 3);
-    context.font = '12px system-ui,sans-serif';
     context.fillText(text, 12, height - 20);
   }
 }
