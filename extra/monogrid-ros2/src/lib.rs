@@ -12,6 +12,7 @@ pub mod convert;
 pub mod frames;
 pub mod maps;
 pub mod node;
+pub mod parameters;
 pub mod save;
 pub mod serve;
 pub mod settings;

@@ -86,7 +86,10 @@ fn run(args: Args) -> anyhow::Result<()> {
     })?;
     let spinner = node.node.spinner()?;
     {
-        let serving = future::join(spinner.spin(), inputs.serve(&work_sender, &counts));
+        let serving = future::join(
+            spinner.spin(),
+            inputs.serve(&node.node, &work_sender, &counts),
+        );
         pin_mut!(serving);
         futures::executor::block_on(future::select(serving, stopped.next()));
     }

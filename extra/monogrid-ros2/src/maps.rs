@@ -36,8 +36,8 @@ struct World {
     poses: Arc<PoseSnapshot>,
     /// The images with which keyframes were finished, one after the other.
     finished: Vec<Time>,
-    /// What was published last.
-    published: Option<Arc<LiveView>>,
+    /// The newest map that was seen.
+    seen: Option<Arc<LiveView>>,
 }
 
 /// What was counted since the node began.
@@ -62,7 +62,9 @@ pub struct Maps {
     condition: Condition,
     totals: Totals,
     last_image: Option<Instant>,
-    last_map: Option<Instant>,
+    last_look: Option<Instant>,
+    /// How many maps were seen.
+    number: u64,
 }
 
 impl Maps {
@@ -79,7 +81,8 @@ impl Maps {
             condition: Condition::Waiting("no image has come yet".to_owned()),
             totals: Totals::default(),
             last_image: None,
-            last_map: None,
+            last_look: None,
+            number: 0,
         }
     }
 
@@ -101,7 +104,8 @@ impl Maps {
                 last_said = Instant::now();
                 self.say_condition();
             }
-            let is_due = self.last_map.is_none_or(|at| at.elapsed() >= period);
+            self.topics.send_next();
+            let is_due = self.last_look.is_none_or(|at| at.elapsed() >= period);
             if is_due && let Err(error) = self.publish_new_map() {
                 self.condition = Condition::Waiting(format!("the map cannot be shown: {error}"));
             }
@@ -118,7 +122,7 @@ impl Maps {
                     trail: Trail::default(),
                     poses: Arc::default(),
                     finished: Vec::new(),
-                    published: None,
+                    seen: None,
                 });
             }
             News::Tracked(tracked) => self.take_tracked(&tracked),
@@ -136,14 +140,11 @@ impl Maps {
             News::Scale(told) => {
                 self.args.metres_per_unit = told;
                 // the newest map is published once more, since all lengths are others
-                self.topics.forget_grid();
-                if let Some(world) = &mut self.world {
-                    world.published = None;
-                }
+                self.topics.forget();
             }
             News::Ended => {
                 self.world = None;
-                self.topics.forget_grid();
+                self.topics.forget();
                 self.condition = Condition::Waiting("begun again".to_owned());
             }
             News::Save(answer, trajectory) => self.save(answer, &trajectory),
@@ -191,24 +192,36 @@ impl Maps {
         self.args.metres_per_unit.or(is_sensed.then_some(sensed))
     }
 
-    /// Publishes the map if it is another than last time.
+    /// Publishes what somebody wants of the newest map.
     fn publish_new_map(&mut self) -> Result<(), MapError> {
-        let shown = self.newest(false)?;
-        shown.map_or(Ok(()), |shown| self.publish(&shown))
+        self.last_look = Some(Instant::now());
+        let Some(view) = self.look() else {
+            return Ok(());
+        };
+        if !self.topics.wants(self.number) {
+            return Ok(());
+        }
+        let shown = self.shown(&view)?;
+        shown.map_or(Ok(()), |shown| self.topics.publish(self.number, &shown))
     }
 
-    /// The newest map; `None` where there is none, or it was published already and is not wanted
-    /// `again`.
-    fn newest(&mut self, again: bool) -> Result<Option<Shown>, MapError> {
-        let world = self.world.as_ref();
-        let latest = world.and_then(|world| Some((world, world.reader.latest()?)));
-        let Some((world, view)) = latest else {
+    /// The newest map, which has a number.
+    fn look(&mut self) -> Option<Arc<LiveView>> {
+        let world = self.world.as_mut()?;
+        let view = world.reader.latest()?;
+        let is_same = |seen: &Arc<LiveView>| Arc::ptr_eq(seen, &view);
+        if !world.seen.as_ref().is_some_and(is_same) {
+            world.seen = Some(Arc::clone(&view));
+            self.number += 1;
+        }
+        Some(view)
+    }
+
+    /// A map in metres with all that belongs to it.
+    fn shown(&self, view: &LiveView) -> Result<Option<Shown>, MapError> {
+        let Some(world) = &self.world else {
             return Ok(None);
         };
-        let published = world.published.as_ref();
-        if !again && published.is_some_and(|published| Arc::ptr_eq(published, &view)) {
-            return Ok(None);
-        }
         let map_from_world = self.frame_of(&view.map_from_world);
         let trail = world.trail.now(&world.poses).into_iter();
         let path = trail.map(|(stamp, pose)| (stamp, map_from_camera(&map_from_world, &pose)));
@@ -220,16 +233,7 @@ impl Maps {
             camera_over_base: self.args.frames.mount().translation.z,
             path: &path,
         };
-        let shown = Shown::new(&view.global, &seen)?;
-        if let Some(world) = &mut self.world {
-            world.published = Some(view);
-        }
-        Ok(Some(shown))
-    }
-
-    fn publish(&mut self, shown: &Shown) -> Result<(), MapError> {
-        self.last_map = Some(Instant::now());
-        self.topics.publish(shown)
+        Shown::new(&view.global, &seen).map(Some)
     }
 
     /// Publishes the points of a keyframe in the map.
@@ -259,11 +263,13 @@ impl Maps {
     }
 
     fn publish_and_save(&mut self, trajectory: &[(Time, Se3)]) -> anyhow::Result<String> {
-        let Some(shown) = self.newest(true)? else {
+        let view = self.look();
+        let shown = view.map(|view| self.shown(&view)).transpose()?.flatten();
+        let Some(shown) = shown else {
             anyhow::bail!("there is no map yet: no keyframe is finished");
         };
-        self.topics.forget_grid();
-        self.publish(&shown)?;
+        self.topics.forget();
+        self.topics.publish(self.number, &shown)?;
         let is_metric = self.metres_per_unit().is_some();
         let folder = save(&self.args.save_dir, &shown, trajectory, is_metric)?;
         let folder = folder.canonicalize().unwrap_or(folder);
@@ -309,6 +315,7 @@ impl Maps {
             ("images of no use", totals.unusable.to_string()),
             ("last of no use because", totals.unusable_because.clone()),
             ("inertial readings", count(&counts.readings)),
+            ("whole maps sent", self.topics.wholes.to_string()),
             ("messages not sent", unsent.to_string()),
             ("tracking of the last image, ms", tracking),
             ("keyframes", keyframes.to_string()),

@@ -1,17 +1,25 @@
 //! The node: topics, and how reliable they are.
 
 use anyhow::Context as _;
+use futures::StreamExt;
+use futures::future::join_all;
 use monogrid_messages::RosMessage;
 use monogrid_messages::std_srvs::{TriggerRequest, TriggerResponse};
-use ros2_client::dds::rustdds::{DomainParticipantBuilder, Topic};
+use ros2_client::dds::rustdds::{
+    DomainParticipant, DomainParticipantBuilder, QosPolicies, QosPolicyBuilder, Topic,
+    TopicDescription, TopicKind, policy,
+};
 use ros2_client::qos::{Durability, History, WhenFull};
 use ros2_client::{
     Context, Message, MessageTypeName, Name, Node, NodeName, NodeOptions, Publisher, QosProfile,
-    Server, ServiceMapping, ServiceTypeName, Subscription,
+    RmwRequestId, Server, ServiceMapping, ServiceTypeName, Subscription,
 };
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use std::future::Future;
 use std::net::Ipv4Addr;
+use std::pin::pin;
+use std::time::Duration;
 
 /// Connects to the other nodes of the ROS domain (`ROS_DOMAIN_ID`); to those of this computer only
 /// where `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST` or `ROS_LOCALHOST_ONLY=1`.
@@ -54,7 +62,11 @@ pub enum Quality {
     Readings,
     /// All of them, to those who listen now; what cannot be sent at once is not sent.
     Stream,
-    /// The last one, also to those who come later: maps, as nav2 and RViz want them.
+    /// All of them, one after the other, to those who listen now: parts of something large. The next
+    /// one waits a moment for everybody to have the last one, and is not sent when that is too long.
+    Parts,
+    /// The last one, also to those who come later: maps, as nav2 and RViz want them. While somebody
+    /// has not got it yet, no other can be sent.
     Latched,
 }
 
@@ -68,12 +80,34 @@ impl Quality {
             Self::Stream => QosProfile::publisher_default()
                 .reliability_reliable(WhenFull::Fail)
                 .history(last(100)),
+            Self::Parts => QosProfile::publisher_default()
+                .reliability_reliable(WhenFull::Wait(PATIENCE))
+                .history(last(10)),
             Self::Latched => QosProfile::publisher_default()
+                .reliability_reliable(WhenFull::Fail)
                 .durability(Durability::TransientLocal)
                 .history(last(1)),
         }
     }
+
+    /// The policies of the middleware. Of what may be large one message is on its way: without this
+    /// limit all are kept until everybody has them, and without a listener for ever.
+    fn policies(self) -> QosPolicies {
+        let policies = QosPolicies::from(self.profile());
+        if !matches!(self, Self::Parts | Self::Latched) {
+            return policies;
+        }
+        let one = QosPolicyBuilder::new().resource_limits(policy::ResourceLimits {
+            max_samples: 1,
+            max_instances: 1,
+            max_samples_per_instance: 1,
+        });
+        policies.modify_by(&one.build())
+    }
 }
+
+/// How long a part waits for the one before.
+const PATIENCE: Duration = Duration::from_millis(100);
 
 fn last(depth: usize) -> History {
     History::KeepLast { depth }
@@ -83,8 +117,33 @@ fn last(depth: usize) -> History {
 pub struct RosNode {
     /// The node itself.
     pub node: Node,
-    namespace: String,
-    name: String,
+    full_name: NodeName,
+    participant: DomainParticipant,
+}
+
+/// Where messages go out.
+pub struct Outlet<M: RosMessage> {
+    publisher: Publisher<M>,
+    topic: String,
+    participant: DomainParticipant,
+}
+
+impl<M: RosMessage> Outlet<M> {
+    /// Whether somebody listens.
+    #[must_use]
+    pub fn is_heard(&self) -> bool {
+        let readers = self.participant.discovered_readers();
+        let mut topics = readers
+            .iter()
+            .map(|r| r.subscription_topic_data.topic_name());
+        topics.any(|topic| *topic == self.topic)
+    }
+
+    /// Sends a message; `false` where it could not be sent.
+    #[must_use]
+    pub fn publish(&self, message: M) -> bool {
+        self.publisher.publish(message).is_ok()
+    }
 }
 
 impl RosNode {
@@ -101,9 +160,9 @@ impl RosNode {
         let node_name = NodeName::new(namespace, name)
             .with_context(|| format!("{namespace} {name} is no name of a node"))?;
         Ok(Self {
-            node: context.new_node(node_name, options)?,
-            namespace: namespace.to_owned(),
-            name: name.to_owned(),
+            node: context.new_node(node_name.clone(), options)?,
+            full_name: node_name,
+            participant: context.domain_participant(),
         })
     }
 
@@ -112,17 +171,22 @@ impl RosNode {
         let absolute = if topic.starts_with('/') {
             topic.to_owned()
         } else {
-            format!("{}/{topic}", self.namespace.trim_end_matches('/'))
+            format!(
+                "{}/{topic}",
+                self.full_name.namespace().trim_end_matches('/')
+            )
         };
         let name = Name::parse(&absolute);
         name.with_context(|| format!("{topic:?} is no name of a topic"))
     }
 
     /// A topic with messages of this type.
-    fn topic<M: RosMessage>(&self, topic: &str, profile: &QosProfile) -> anyhow::Result<Topic> {
+    fn topic<M: RosMessage>(&self, topic: &str, quality: Quality) -> anyhow::Result<Topic> {
         let type_name = MessageTypeName::new(M::PACKAGE, M::NAME);
-        let name = self.name_of(topic)?;
-        Ok(self.node.create_topic(&name, type_name, profile)?)
+        let name = self.name_of(topic)?.to_dds_name("rt", &self.full_name, "");
+        let (type_name, policies) = (type_name.dds_msg_type(), quality.policies());
+        let participant = &self.participant;
+        Ok(participant.create_topic(name, type_name, &policies, TopicKind::NoKey)?)
     }
 
     /// Begins to publish.
@@ -133,10 +197,13 @@ impl RosNode {
         &mut self,
         topic: &str,
         quality: Quality,
-    ) -> anyhow::Result<Publisher<M>> {
-        let profile = quality.profile();
-        let topic = self.topic::<M>(topic, &profile)?;
-        Ok(self.node.create_publisher(&topic, Some(profile))?)
+    ) -> anyhow::Result<Outlet<M>> {
+        let topic = self.topic::<M>(topic, quality)?;
+        Ok(Outlet {
+            publisher: self.node.create_publisher(&topic, None)?,
+            topic: topic.name(),
+            participant: self.participant.clone(),
+        })
     }
 
     /// Begins to receive.
@@ -148,28 +215,73 @@ impl RosNode {
         topic: &str,
         quality: Quality,
     ) -> anyhow::Result<Subscription<M>> {
-        let profile = quality.profile();
-        let topic = self.topic::<M>(topic, &profile)?;
-        Ok(self.node.create_subscription(&topic, Some(profile))?)
+        let topic = self.topic::<M>(topic, quality)?;
+        Ok(self.node.create_subscription(&topic, None)?)
     }
 
-    /// Offers a service that needs to know nothing, below the name of the node.
+    /// Offers a service below the name of the node, to clients of all middlewares.
     ///
     /// # Errors
     /// A name that is none, or a network that cannot be used.
-    pub fn trigger(&mut self, service: &str) -> anyhow::Result<Trigger> {
+    pub fn service<Request: Message + Clone + 'static, Response: Message + 'static>(
+        &mut self,
+        service: &str,
+        type_name: &ServiceTypeName,
+    ) -> anyhow::Result<Service<Request, Response>> {
         let profile = QosProfile::publisher_default().history(last(10));
-        let name = self.name_of(&format!("{}/{service}", self.name))?;
-        let type_name = ServiceTypeName::new("std_srvs", "Trigger");
-        let mapping = ServiceMapping::Enhanced;
-        Ok(self
-            .node
-            .create_server(mapping, &name, &type_name, profile.clone(), profile)?)
+        let name = self.name_of(&format!("{}/{service}", self.full_name.base_name()))?;
+        let mut server = |mapping| {
+            let (request, response) = (profile.clone(), profile.clone());
+            let node = &mut self.node;
+            node.create_server(mapping, &name, type_name, request, response)
+        };
+        Ok(Service {
+            enhanced: server(ServiceMapping::Enhanced)?,
+            cyclone: server(ServiceMapping::Cyclone)?,
+        })
     }
 }
 
+/// A service. CycloneDDS writes into a message what others write beside it, so there are two
+/// servers, and each client is answered as it asked.
+pub struct Service<Request: Message, Response: Message> {
+    enhanced: Server<Request, Response>,
+    cyclone: Server<Request, Response>,
+}
+
+impl<Request: Message + 'static, Response: Message + 'static> Service<Request, Response> {
+    /// Answers what is asked, one after the other; does not end.
+    pub async fn answer<F>(&self, reply: impl Fn(Request) -> F)
+    where
+        F: Future<Output = Response>,
+    {
+        let servers = [(&self.enhanced, false), (&self.cyclone, true)];
+        let answers = servers.map(|(server, is_cyclone)| {
+            let reply = &reply;
+            async move {
+                let mut requests = pin!(server.receive_request_stream());
+                while let Some(request) = requests.next().await {
+                    // what the other server understands may be an error here
+                    if let Ok((id, request)) = request
+                        && is_of_cyclone(&id) == is_cyclone
+                    {
+                        // whoever has gone away needs no answer
+                        let _ = server.async_send_response(id, reply(request).await).await;
+                    }
+                }
+            }
+        });
+        join_all(answers).await;
+    }
+}
+
+/// Whether CycloneDDS asked: the identifier of a client begins with that of its vendor.
+fn is_of_cyclone(id: &RmwRequestId) -> bool {
+    id.writer_gid.to_bytes16().starts_with(&[0x01, 0x10])
+}
+
 /// A service of `std_srvs/srv/Trigger`.
-pub type Trigger = Server<Wire<TriggerRequest>, Wire<TriggerResponse>>;
+pub type Trigger = Service<Wire<TriggerRequest>, Wire<TriggerResponse>>;
 
 /// A message of this project as the middleware wants it.
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -3,12 +3,15 @@
 use crate::args::{Args, checked_scale};
 use crate::convert::{camera_of, imu_sample_of};
 use crate::node::{Quality, RosNode, Trigger, Wire};
+use crate::parameters::ParameterServices;
 use crate::work::{Answer, Counts, Picture, Work, WorkSender, response};
 use futures::channel::oneshot;
 use futures::future::{self, OptionFuture};
 use futures::{Stream, StreamExt};
 use monogrid_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu};
-use ros2_client::{MessageInfo, NodeOptions, ParameterValue, ReadError, Subscription};
+use ros2_client::{
+    MessageInfo, Node, NodeOptions, ParameterValue, ReadError, ServiceTypeName, Subscription,
+};
 use std::pin::pin;
 use std::sync::atomic::Ordering::Relaxed;
 
@@ -20,6 +23,8 @@ pub fn options(args: &Args, work: WorkSender) -> NodeOptions {
     let value = ParameterValue::Double(args.metres_per_unit.unwrap_or(0.0));
     NodeOptions::new()
         .enable_rosout(false)
+        // they would be answered to some middlewares only: see `parameters`
+        .start_parameter_services(false)
         .declare_parameter(SCALE, value)
         .parameter_validator(Box::new(|name, value| match value {
             ParameterValue::Double(metres) if name == SCALE => told_scale(*metres).map(|_| ()),
@@ -50,6 +55,7 @@ pub struct Inputs {
     imu: Option<Subscription<Imu>>,
     save: Trigger,
     reset: Trigger,
+    parameters: ParameterServices,
     is_rectified: bool,
 }
 
@@ -73,18 +79,20 @@ impl Inputs {
         let info = info.map(|topic| node.subscription(topic, Quality::Sensor));
         let imu = args.imu.as_ref();
         let imu = imu.map(|topic| node.subscription(topic, Quality::Readings));
+        let trigger = ServiceTypeName::new("std_srvs", "Trigger");
         Ok(Self {
             images,
             info: info.transpose()?,
             imu: imu.transpose()?,
-            save: node.trigger("save")?,
-            reset: node.trigger("reset")?,
+            save: node.service("save", &trigger)?,
+            reset: node.service("reset", &trigger)?,
+            parameters: ParameterServices::new(node)?,
             is_rectified: args.rectified,
         })
     }
 
     /// Hands on all that comes; does not end.
-    pub async fn serve(self, work: &WorkSender, counts: &Counts) {
+    pub async fn serve(self, node: &Node, work: &WorkSender, counts: &Counts) {
         let images = async {
             match &self.images {
                 Images::Plain(topic) => {
@@ -102,7 +110,8 @@ impl Inputs {
         let (info, readings) = (OptionFuture::from(info), OptionFuture::from(readings));
         let save = answer(&self.save, work, Work::Save);
         let reset = answer(&self.reset, work, Work::Reset);
-        future::join5(images, info, readings, save, reset).await;
+        let services = future::join3(save, reset, self.parameters.serve(node));
+        future::join4(images, info, readings, services).await;
     }
 }
 
@@ -167,19 +176,15 @@ async fn take_readings(topic: &Subscription<Imu>, work: &WorkSender, counts: &Co
 }
 
 /// Answers a service when its work is done.
-async fn answer(server: &Trigger, work: &WorkSender, ask: fn(Answer) -> Work) {
-    let mut requests = pin!(server.receive_request_stream());
-    while let Some(request) = requests.next().await {
-        if let Ok((id, _)) = request {
-            let (answer, answered) = oneshot::channel();
-            // what nobody takes is dropped, and the answer with it
-            let _ = work.send(ask(answer));
-            let ended = |_| response(Err("the node is ending".to_owned()));
-            let said = answered.await.unwrap_or_else(ended);
-            // whoever has gone away needs no answer
-            let _ = server.async_send_response(id, Wire(said)).await;
-        }
-    }
+async fn answer(service: &Trigger, work: &WorkSender, ask: fn(Answer) -> Work) {
+    let reply = |_| async {
+        let (answer, answered) = oneshot::channel();
+        // what nobody takes is dropped, and the answer with it
+        let _ = work.send(ask(answer));
+        let ended = |_| response(Err("the node is ending".to_owned()));
+        Wire(answered.await.unwrap_or_else(ended))
+    };
+    service.answer(reply).await;
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use crate::args::{Args, FrameArgs};
 use crate::convert::{gray_image, gray_of_compressed, odometry_of, transform_of};
 use crate::frames::{Frames, Poses, frame_of_map};
-use crate::node::{Quality, RosNode};
+use crate::node::{Outlet, Quality, RosNode};
 use crate::work::{Answer, News, Picture, Tracked, Work, WorkReceiver, response};
 use monogrid_geometry::{Camera, Sim3};
 use monogrid_image::GrayImage;
@@ -15,15 +15,14 @@ use monogrid_messages::std_msgs::Header;
 use monogrid_messages::tf2_msgs::TFMessage;
 use monogrid_pipeline::{Event, Pipeline, PipelineError, Settings, Unusable};
 use monogrid_slam::{Effort, FrameReport};
-use ros2_client::Publisher;
 use std::sync::mpsc::SyncSender;
 
 /// Publishes where the camera is.
 pub struct PosePublisher {
     frames: FrameArgs,
-    odometry: Publisher<Odometry>,
-    tf: Publisher<TFMessage>,
-    tf_static: Publisher<TFMessage>,
+    odometry: Outlet<Odometry>,
+    tf: Outlet<TFMessage>,
+    tf_static: Outlet<TFMessage>,
     /// The optical frame that was published.
     optical: Option<String>,
     last_stamp: Option<Time>,
@@ -52,15 +51,16 @@ impl PosePublisher {
         if !is_wanted || !is_new || header.frame_id.is_empty() {
             return;
         }
-        self.optical = Some(header.frame_id.clone());
         let parent = Header {
             stamp: header.stamp,
             frame_id: self.frames.base_frame.clone(),
         };
         let transform = transform_of(parent, &header.frame_id, &self.frames.mount());
         let transforms = vec![transform];
-        // a network that fails now says so in the diagnostics, which then do not come
-        let _ = self.tf_static.publish(TFMessage { transforms });
+        // what could not be sent is sent with the next image
+        if self.tf_static.publish(TFMessage { transforms }) {
+            self.optical = Some(header.frame_id.clone());
+        }
     }
 
     /// Publishes poses at a time; returns how many messages could not be sent.
@@ -80,13 +80,13 @@ impl PosePublisher {
         let step = poses.step.zip(seconds);
         let odom_from_base = &poses.odom_from_base;
         let odometry = odometry_of(header(odom_frame), base_frame, odom_from_base, step);
-        let mut unsent = usize::from(self.odometry.publish(odometry).is_err());
+        let mut unsent = usize::from(!self.odometry.publish(odometry));
         if !self.frames.no_tf {
             let transforms = vec![
                 transform_of(header(map_frame), odom_frame, &poses.map_from_odom()),
                 transform_of(header(odom_frame), base_frame, odom_from_base),
             ];
-            unsent += usize::from(self.tf.publish(TFMessage { transforms }).is_err());
+            unsent += usize::from(!self.tf.publish(TFMessage { transforms }));
         }
         unsent
     }

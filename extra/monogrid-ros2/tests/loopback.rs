@@ -322,6 +322,28 @@ fn ten_seconds_of_a_small_camera() {
     assert!(loopback.node.interrupt());
 }
 
+/// Without a listener no map is kept for one: the middleware kept all of them, and sent them all.
+#[test]
+fn who_comes_late_gets_one_map() {
+    let film = Film::rendered(&SynthSequence::small_demo().unwrap(), 150);
+    let domain = domain();
+    let mut node = Node::start(domain, &["--map-period", "0.2", "--threads", "2"]);
+    let robot = Robot::start(domain);
+    thread::sleep(Duration::from_secs(2));
+    send(&robot, &node, &film, 150);
+    let heard = Listening::start(domain);
+    heard.wait_until("maps arrive", |heard| {
+        heard.full.is_some() && heard.cells.is_some() && heard.grid.is_some()
+    });
+    // the next ones would come later
+    thread::sleep(Duration::from_secs(2));
+    heard.heard(|heard| {
+        let grids = heard.grid_times.len() - heard.updates;
+        assert_eq!((heard.trees, grids), (1, 1));
+    });
+    assert!(node.interrupt());
+}
+
 /// A camera and an inertial sensor of which neither sits straight: the map is in metres, and its z
 /// is up.
 #[test]

@@ -49,8 +49,12 @@ pub fn part_that_fits<M>(
     Ok((make(&nothing)?, Some(0.0)))
 }
 
+/// Bytes of a part of what is sent in parts: a listener with the usual buffers has room for it.
+const PART_BYTES: usize = 96_000;
+
+const BYTES_PER_POINT: usize = 4 * BYTES_PER_NUMBER;
 /// Points that fit into one message.
-pub const MAX_POINTS: usize = MAX_BYTES / (4 * BYTES_PER_NUMBER);
+pub const MAX_POINTS: usize = MAX_BYTES / BYTES_PER_POINT;
 
 /// Depths that are less certain are not sent.
 const MAX_RELATIVE_SIGMA: f32 = 0.05;
@@ -59,18 +63,18 @@ const MAX_RELATIVE_SIGMA: f32 = 0.05;
 /// probability.
 #[must_use]
 pub fn cloud_of_cells(header: Header, map: &OccupancyMap) -> PointCloud2 {
-    cut(header, points_of_cells(map))
+    cloud_of(header, "intensity", points_of_cells(map).take(MAX_POINTS))
 }
 
 /// The points of a keyframe, of which depth is known well enough, in the frame given by
-/// `frame_from_keyframe` (m); the intensity is the grey value, 0 to 255.
+/// `frame_from_keyframe` (m), in parts; the intensity is the grey value, 0 to 255.
 #[must_use]
-pub fn cloud_of_keyframe(
-    header: Header,
+pub fn clouds_of_keyframe(
+    header: &Header,
     keyframe: &Keyframe,
     pinhole: &Pinhole,
     frame_from_keyframe: &Sim3,
-) -> PointCloud2 {
+) -> Vec<PointCloud2> {
     let pixels = keyframe.pixels.iter();
     let certain =
         pixels.filter(|p| p.idepth > 0.0 && p.idepth_var.sqrt() <= MAX_RELATIVE_SIGMA * p.idepth);
@@ -81,18 +85,16 @@ pub fn cloud_of_keyframe(
         let grey = keyframe.image.at(pixel.x.into(), pixel.y.into());
         [point.x as f32, point.y as f32, point.z as f32, grey.into()]
     });
-    cut(header, points)
+    let points: Vec<[f32; 4]> = points.collect();
+    let parts = points.chunks(PART_BYTES / BYTES_PER_POINT);
+    let part = |part: &[[f32; 4]]| cloud_of(header.clone(), "intensity", part.iter().copied());
+    parts.map(part).collect()
 }
 
-/// As many of the points as fit into one message.
-fn cut(header: Header, points: impl Iterator<Item = [f32; 4]>) -> PointCloud2 {
-    cloud_of(header, "intensity", points.take(MAX_POINTS))
-}
-
-/// The smallest rectangle of `now` that holds all cells that differ from `before`; `None` where
-/// none does. The two are of one size and place, else all of `now` must be sent.
+/// The smallest rectangle of `now` that holds all cells that differ from `before`, in parts; none
+/// where none does. The two are of one size and place, else all of `now` must be sent.
 #[must_use]
-pub fn changed_part(before: &OccupancyGrid, now: &OccupancyGrid) -> Option<OccupancyGridUpdate> {
+pub fn changed_parts(before: &OccupancyGrid, now: &OccupancyGrid) -> Vec<OccupancyGridUpdate> {
     let width = now.info.width as usize;
     let changed = before.data.iter().zip(&now.data).enumerate();
     let changed = changed.filter(|(_, (before, now))| before != now);
@@ -101,16 +103,23 @@ pub fn changed_part(before: &OccupancyGrid, now: &OccupancyGrid) -> Option<Occup
         let [left, low, right, high] = bounds.unwrap_or([x, y, x, y]);
         Some([left.min(x), low.min(y), right.max(x), high.max(y)])
     });
-    let [left, low, right, high] = bounds?;
-    let rows = now.data.chunks(width).skip(low).take(high - low + 1);
-    Some(OccupancyGridUpdate {
-        header: now.header.clone(),
-        x: left as i32,
-        y: low as i32,
-        width: (right - left + 1) as u32,
-        height: (high - low + 1) as u32,
-        data: rows.flat_map(|row| &row[left..=right]).copied().collect(),
-    })
+    let Some([left, low, right, high]) = bounds else {
+        return Vec::new();
+    };
+    let rows = (PART_BYTES / (right - left + 1)).max(1);
+    let part = |first: usize| {
+        let height = rows.min(high + 1 - first);
+        let rows = now.data.chunks(width).skip(first).take(height);
+        OccupancyGridUpdate {
+            header: now.header.clone(),
+            x: left as i32,
+            y: first as i32,
+            width: (right - left + 1) as u32,
+            height: height as u32,
+            data: rows.flat_map(|row| &row[left..=right]).copied().collect(),
+        }
+    };
+    (low..=high).step_by(rows).map(part).collect()
 }
 
 /// The last line of the header of OctoMap's files.
@@ -145,8 +154,10 @@ const BYTES_PER_POSE: usize = 8 + 4 + 8 + 7 * 8;
 /// Longest name of a frame that is counted with.
 const MAX_NAME_BYTES: usize = 100;
 
+/// Bytes of a pose at most.
+pub const MAX_BYTES_PER_POSE: usize = BYTES_PER_POSE + MAX_NAME_BYTES;
 /// Poses that fit into one message.
-pub const MAX_PATH_POSES: usize = MAX_BYTES / (BYTES_PER_POSE + MAX_NAME_BYTES);
+pub const MAX_PATH_POSES: usize = MAX_BYTES / MAX_BYTES_PER_POSE;
 
 /// Poses in the frame of the header, m, with their times; at most [`MAX_PATH_POSES`], the last
 /// ones.
@@ -228,19 +239,22 @@ mod tests {
         };
         let pinhole = Pinhole::new(2.0, 2.0, 1.0, 0.0);
         let moved = Sim3::new(3.0, Rotation::identity(), Vec3::new(0.0, 10.0, 0.0));
-        let cloud = cloud_of_keyframe(Header::default(), &keyframe, &pinhole, &moved);
+        let of = |keyframe: &Keyframe| {
+            clouds_of_keyframe(&Header::default(), keyframe, &pinhole, &moved)
+        };
+        let clouds = of(&keyframe);
+        assert_eq!(clouds.len(), 1);
         // the pixel is one focal length to the right: (2, 0, 2) in the keyframe
-        assert_eq!(numbers(&cloud), [6.0, 10.0, 6.0, 77.0]);
-    }
-
-    #[test]
-    fn more_points_than_a_message_holds_are_cut() {
-        let cloud = cut(
-            Header::default(),
-            std::iter::repeat_n([1.0; 4], MAX_POINTS + 5),
-        );
-        assert_eq!(cloud.width as usize, MAX_POINTS);
-        assert!(cloud.data.len() < MAX_MESSAGE_BYTES);
+        assert_eq!(numbers(&clouds[0]), [6.0, 10.0, 6.0, 77.0]);
+        // all points of a large one come, in parts
+        let many = vec![pixel(3, 0.5, 1e-6); 10_000];
+        let clouds = of(&Keyframe {
+            pixels: many,
+            ..keyframe
+        });
+        assert!(clouds.iter().all(|cloud| cloud.data.len() <= PART_BYTES));
+        let points: u32 = clouds.iter().map(|cloud| cloud.width).sum();
+        assert_eq!((clouds.len(), points), (2, 10_000));
     }
 
     fn grid(width: u32, data: &[i8]) -> OccupancyGrid {
@@ -260,11 +274,33 @@ mod tests {
         let before = grid(4, &[-1; 12]);
         let mut after = before.clone();
         (after.data[5], after.data[10]) = (0, 100);
-        assert_eq!(changed_part(&before, &before), None);
-        let update = changed_part(&before, &after).unwrap();
+        assert_eq!(changed_parts(&before, &before), []);
+        let [update] = &changed_parts(&before, &after)[..] else {
+            panic!("one part");
+        };
         let place = (update.x, update.y, update.width, update.height);
         assert_eq!(place, (1, 1, 2, 2));
         assert_eq!(update.data, [0, -1, -1, 100]);
+    }
+
+    #[test]
+    fn a_large_change_comes_in_parts() {
+        let before = grid(400, &[-1; 400 * 600]);
+        let mut after = before.clone();
+        for (index, cell) in after.data.iter_mut().enumerate().skip(400) {
+            *cell = (index % 101) as i8;
+        }
+        let parts = changed_parts(&before, &after);
+        assert_eq!(parts.len(), 3);
+        let mut row = 1;
+        for part in &parts {
+            assert!(part.data.len() <= PART_BYTES);
+            assert_eq!((part.x, part.y, part.width), (0, row, 400));
+            let first = row as usize * 400;
+            assert_eq!(part.data, after.data[first..first + part.data.len()]);
+            row += part.height as i32;
+        }
+        assert_eq!(row, 600);
     }
 
     #[test]

@@ -5,8 +5,8 @@ mod maps;
 
 pub use diagnostics::{Condition, diagnostics};
 pub use maps::{
-    MAX_BYTES, MAX_PATH_POSES, MAX_POINTS, changed_part, cloud_of_cells, cloud_of_keyframe,
-    last_path_of, octomap_of, part_that_fits,
+    MAX_BYTES, MAX_BYTES_PER_POSE, MAX_PATH_POSES, MAX_POINTS, changed_parts, cloud_of_cells,
+    clouds_of_keyframe, last_path_of, octomap_of, part_that_fits,
 };
 pub use monogrid_bags::convert::{
     camera_of, gray_image, gray_of_compressed, grid_of, imu_sample_of, odometry_of, transform_of,

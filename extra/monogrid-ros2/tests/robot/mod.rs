@@ -14,10 +14,10 @@ use monogrid_messages::sensor_msgs::{CameraInfo, Image, Imu, PointCloud2};
 use monogrid_messages::std_msgs::Header;
 use monogrid_messages::std_srvs::{TriggerRequest, TriggerResponse};
 use monogrid_messages::tf2_msgs::TFMessage;
-use monogrid_ros2::node::{Quality, RosNode, Wire, connect_to};
+use monogrid_ros2::node::{Outlet, Quality, RosNode, Wire, connect_to};
 use ros2_client::rcl_interfaces::{SetParametersRequest, SetParametersResponse};
 use ros2_client::{
-    Client, Context, Message, Name, NodeOptions, Parameter, ParameterValue, Publisher, QosProfile,
+    Client, Context, Message, Name, NodeOptions, Parameter, ParameterValue, QosProfile,
     ServiceMapping, ServiceTypeName, Subscription,
 };
 use std::collections::BTreeMap;
@@ -121,6 +121,8 @@ pub struct Heard {
     pub updates: usize,
     pub binary: Option<Octomap>,
     pub full: Option<Octomap>,
+    /// How many came of the last one.
+    pub trees: usize,
     pub cells: Option<PointCloud2>,
     pub points: usize,
     pub path: Option<Path>,
@@ -267,7 +269,9 @@ fn listen(domain: u16, heard: &std::sync::Mutex<Heard>, stop: &AtomicBool) {
             .for_each(|update| heard.take_update(update));
         heard.points += all(&points).len();
         heard.binary = all(&binary).pop().or(heard.binary.take());
-        heard.full = all(&full).pop().or(heard.full.take());
+        let mut trees = all(&full);
+        heard.trees += trees.len();
+        heard.full = trees.pop().or(heard.full.take());
         heard.cells = all(&cells).pop().or(heard.cells.take());
         heard.path = all(&path).pop().or(heard.path.take());
         heard.diagnostics = all(&diagnostics).pop().or(heard.diagnostics.take());
@@ -277,9 +281,9 @@ fn listen(domain: u16, heard: &std::sync::Mutex<Heard>, stop: &AtomicBool) {
 /// A camera that sends images, and asks for services.
 pub struct Robot {
     _context: Context,
-    images: Publisher<Image>,
-    readings: Publisher<Imu>,
-    infos: Publisher<CameraInfo>,
+    images: Outlet<Image>,
+    readings: Outlet<Imu>,
+    infos: Outlet<CameraInfo>,
     save: Client<Wire<TriggerRequest>, Wire<TriggerResponse>>,
     reset: Client<Wire<TriggerRequest>, Wire<TriggerResponse>>,
     parameters: Client<SetParametersRequest, SetParametersResponse>,
@@ -330,7 +334,7 @@ impl Robot {
             k: [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
             ..CameraInfo::default()
         };
-        self.infos.publish(info).unwrap();
+        assert!(self.infos.publish(info));
     }
 
     /// Sends a reading of the inertial sensor, at a time.
@@ -350,7 +354,7 @@ impl Robot {
             linear_acceleration: vector(&reading.specific_force),
             ..Imu::default()
         };
-        self.readings.publish(message).unwrap();
+        assert!(self.readings.publish(message));
     }
 
     /// Sends an image as it is now.
@@ -372,7 +376,7 @@ impl Robot {
             step: image.width() as u32,
             data: image.as_slice().to_vec(),
         };
-        self.images.publish(message).unwrap();
+        assert!(self.images.publish(message));
         stamp
     }
 
