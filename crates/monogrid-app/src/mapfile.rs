@@ -98,6 +98,7 @@ fn too_large(file_bytes: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use monogrid_occupancy::{MapConfig, VoxelKey};
 
     /// A binary tree of OctoMap: inner nodes with one child, below them full ones, and below those
     /// occupied and free leaves.
@@ -139,9 +140,13 @@ mod tests {
             panic!("an empty folder was read");
         };
         assert!(error.to_string().contains("holds no global.ot"), "{error}");
-        std::fs::write(folder.path().join(MAP), tree(7, 0)).unwrap();
+        let mut map = OccupancyMap::new(MapConfig::with_resolution(0.25)).unwrap();
+        map.set_log_odds(VoxelKey::new(1, 2, 3), Some(2.0)).unwrap();
+        let mut bytes = Vec::new();
+        MapFormat::Ot.write(&map, &mut bytes).unwrap();
+        std::fs::write(folder.path().join(MAP), bytes).unwrap();
         let (map, _) = load(folder.path()).unwrap();
-        assert_eq!(map.resolution(), 0.05);
+        assert_eq!((map.resolution(), map.leaf_count()), (0.25, 1));
     }
 
     #[test]

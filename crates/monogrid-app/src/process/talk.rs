@@ -12,21 +12,38 @@ use std::time::{Duration, Instant};
 const LINE_EVERY: Duration = Duration::from_millis(9500);
 /// Time between looks.
 const LOOK_EVERY: Duration = Duration::from_millis(250);
+/// Work that takes less has no spinner.
+const SPINNER_AFTER: Duration = Duration::from_secs(1);
 
-static WORK: Mutex<Option<Work>> = Mutex::new(None);
-/// When something was last said.
-static SAID: Mutex<Option<Instant>> = Mutex::new(None);
+static TALK: Mutex<Talk> = Mutex::new(Talk {
+    work: None,
+    said: None,
+});
 static SPINNER: Mutex<Option<ProgressBar>> = Mutex::new(None);
 
-/// What goes on.
-#[derive(Clone, Debug)]
-struct Work {
-    name: String,
-    begin: Instant,
+/// What goes on, since when, and when something was last said.
+#[derive(Debug, Default)]
+struct Talk {
+    work: Option<(String, Instant)>,
+    said: Option<Instant>,
 }
 
-fn work() -> MutexGuard<'static, Option<Work>> {
-    WORK.lock().unwrap_or_else(PoisonError::into_inner)
+impl Talk {
+    fn is_due(&mut self, now: Instant) -> bool {
+        let said = *self.said.get_or_insert(now);
+        now.saturating_duration_since(said) >= LINE_EVERY
+    }
+
+    /// What goes on, and for how long.
+    fn line(&self, now: Instant) -> Option<String> {
+        let (name, begin) = self.work.as_ref()?;
+        let seconds = now.saturating_duration_since(*begin).as_secs();
+        Some(format!("{name} · {seconds} s"))
+    }
+}
+
+fn talk() -> MutexGuard<'static, Talk> {
+    TALK.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn spinner() -> MutexGuard<'static, Option<ProgressBar>> {
@@ -37,36 +54,35 @@ fn spinner() -> MutexGuard<'static, Option<ProgressBar>> {
 pub fn begin(name: &str) {
     doing(name);
     let is_terminal = std::io::stderr().is_terminal();
-    // a command without a thread to talk is silent, and does its work
-    let _ = thread::Builder::new().name("talk".into()).spawn(move || {
+    let tell = move || {
         loop {
             thread::sleep(LOOK_EVERY);
             if is_terminal {
                 show();
-            } else if let Some(line) = line(Instant::now()) {
+                continue;
+            }
+            let now = Instant::now();
+            let line = {
+                let mut talk = talk();
+                talk.is_due(now).then(|| talk.line(now)).flatten()
+            };
+            if let Some(line) = line {
                 console::err(format_args!("{line}\n"));
             }
         }
-    });
+    };
+    // a command without a thread to talk is silent, and does its work
+    let _ = thread::Builder::new().name("talk".into()).spawn(tell);
 }
 
 /// Names what goes on from now on.
 pub fn doing(name: &str) {
-    *work() = Some(Work {
-        name: name.to_owned(),
-        begin: Instant::now(),
-    });
+    talk().work = Some((name.to_owned(), Instant::now()));
 }
 
 /// Whether nothing was said for so long that something should be.
 pub fn is_due() -> bool {
-    has_been_silent(Instant::now())
-}
-
-fn has_been_silent(now: Instant) -> bool {
-    let mut said = SAID.lock().unwrap_or_else(PoisonError::into_inner);
-    let since = now.saturating_duration_since(*said.get_or_insert(now));
-    since >= LINE_EVERY
+    talk().is_due(Instant::now())
 }
 
 /// Others talk, or nobody should, until this is dropped.
@@ -76,9 +92,9 @@ pub struct Rest(Option<String>);
 /// Lets others talk.
 #[must_use]
 pub fn rest() -> Rest {
-    let before = work().take();
+    let before = talk().work.take();
     show();
-    Rest(before.map(|work| work.name))
+    Rest(before.map(|(name, _)| name))
 }
 
 impl Drop for Rest {
@@ -89,32 +105,23 @@ impl Drop for Rest {
     }
 }
 
-/// What is to be said now, where nothing was for long.
-fn line(now: Instant) -> Option<String> {
-    let work = work();
-    let work = work.as_ref()?;
-    if !has_been_silent(now) {
-        return None;
-    }
-    let seconds = now.saturating_duration_since(work.begin).as_secs();
-    Some(format!("{} · {seconds} s", work.name))
-}
-
 /// Draws the spinner, or takes it away.
 fn show() {
-    let work = work().clone();
+    let now = Instant::now();
+    let (line, is_long) = {
+        let talk = talk();
+        let begin = talk.work.as_ref().map_or(now, |(_, begin)| *begin);
+        (talk.line(now), now.duration_since(begin) > SPINNER_AFTER)
+    };
     let mut spinner = spinner();
-    match (work, spinner.as_ref()) {
-        // what takes no time is not worth a look
-        (Some(work), None) if work.begin.elapsed() > Duration::from_secs(1) => {
-            let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr_with_hz(8));
-            bar.set_message(work.name);
-            *spinner = Some(bar);
-        }
-        (Some(work), Some(bar)) => {
-            let seconds = work.begin.elapsed().as_secs();
-            bar.set_message(format!("{} · {seconds} s", work.name));
+    match (line, spinner.as_ref()) {
+        (Some(line), Some(bar)) => {
+            bar.set_message(line);
             bar.tick();
+        }
+        (Some(line), None) if is_long => {
+            let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr_with_hz(8));
+            *spinner = Some(bar.with_message(line));
         }
         (None, Some(bar)) => {
             bar.finish_and_clear();
@@ -126,7 +133,7 @@ fn show() {
 
 /// Something is said: the spinner makes room, and there is no need to talk for a while.
 pub(super) fn said<T>(say: impl FnOnce() -> T) -> T {
-    *SAID.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
+    talk().said = Some(Instant::now());
     let bar = spinner().clone();
     match bar {
         Some(bar) => bar.suspend(say),
@@ -139,22 +146,25 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_every_ten_seconds_names_the_work_unless_others_talk() {
-        said(|| ());
-        doing("final adjustment");
+    fn work_is_named_when_nothing_was_said_for_long() {
         let begun = Instant::now();
-        let after = |seconds| line(begun + Duration::from_secs(seconds));
-        assert_eq!(after(9), None);
-        assert_eq!(after(12).as_deref(), Some("final adjustment · 12 s"));
-        said(|| ());
-        assert_eq!(after(9), None);
+        let after = |seconds| begun + Duration::from_secs(seconds);
+        let mut talk = Talk::default();
+        assert_eq!((talk.is_due(begun), talk.line(begun)), (false, None));
+        talk.work = Some(("final adjustment".into(), begun));
+        assert_eq!(
+            [9, 10].map(|seconds| talk.is_due(after(seconds))),
+            [false, true]
+        );
+        assert_eq!(
+            talk.line(after(12)).as_deref(),
+            Some("final adjustment · 12 s")
+        );
         // steps that follow each other are no reason to be silent
-        doing("report");
-        assert_eq!(after(12).as_deref(), Some("report · 12 s"));
-        let resting = rest();
-        assert_eq!(after(60), None);
-        drop(resting);
-        assert_eq!(after(21).as_deref(), Some("report · 21 s"));
-        *work() = None;
+        talk.work = Some(("report".into(), after(8)));
+        assert!(talk.is_due(after(10)));
+        assert_eq!(talk.line(after(10)).as_deref(), Some("report · 2 s"));
+        talk.said = Some(after(10));
+        assert!(!talk.is_due(after(19)));
     }
 }

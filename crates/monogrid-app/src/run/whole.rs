@@ -30,7 +30,7 @@ use monogrid_mapping::{
 use monogrid_pipeline::attempt;
 use monogrid_report::colours::Colours;
 use monogrid_report::explorer::{SemiDense, ShownKeyframe};
-use monogrid_report::surface::{CellColours, ColouredScan};
+use monogrid_report::surface::{CellColours, ColouredScan, SurfaceView};
 use monogrid_slam::{KeptKeyframe, TrackedFrame, TrajectoryPose};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -117,7 +117,7 @@ fn run_watched(
     };
     let seen = (shown.as_slice(), &colours, &cell_colours);
     let surface = (seen, &mapping.mesh, ground(&tracked, &looked.frame));
-    let write = |maps| write_maps(folder, maps, &paths, surface);
+    let write = |maps| write_maps(&tracked, folder, maps, &paths, surface);
     let pictures = maps.as_ref().map(write).transpose()?;
     talk::doing("the map is judged");
     let mut extras = extras(&tracked, maps.as_ref())?;
@@ -153,6 +153,7 @@ fn run_watched(
 
 /// Writes the maps, with the surface as the keyframes show it.
 fn write_maps(
+    tracked: &Tracked,
     folder: &OutputFolder,
     maps: &Maps,
     paths: &outputs::Paths,
@@ -163,10 +164,15 @@ fn write_maps(
     ),
 ) -> Result<outputs::MapPictures, Failure> {
     talk::doing("maps and the surface are written");
+    let views: Vec<SurfaceView> = match tracked.early_end {
+        // nobody waits for a picture on the surface
+        Some(EarlyEnd::Interrupted) => Vec::new(),
+        _ => shown.iter().map(ShownKeyframe::view).collect(),
+    };
     let surface = Surface {
         colours,
         config,
-        views: &shown.iter().map(ShownKeyframe::view).collect::<Vec<_>>(),
+        views: &views,
         images,
     };
     outputs::write_maps(folder, maps, paths, ground, surface)

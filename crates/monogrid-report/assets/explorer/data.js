@@ -107,9 +107,9 @@ export function quantiles(values, low, high) {
   return [at(low), at(high)];
 }
 
-// Some places of what was filmed: pixels count, so that a few of them far away weigh little; else cells or vertices.
+// Some places of what there is to see: of the surface, which has no lone cells far away, else of what was measured.
 export function places({ occupied, points, surface }, most = 20000) {
-  const source = points?.count ? points : surface?.count ? surface : occupied;
+  const source = [surface, points, occupied].find((known) => known?.count);
   const found = [];
   const every = Math.max(1, Math.floor((source?.count ?? 0) / most));
   for (let i = 0; i < (source?.count ?? 0); i += every) found.push(source.at(i));

@@ -12,6 +12,8 @@ const LEAST_SHARE = 0.04;
 const AFFORDABLE = 60000;
 // With fewer cells than this the cloud says more, and is shown at once.
 const FEW_CELLS = 5000;
+// Share of what there is to see that may be out of view on each side at first.
+const LONE = 0.005;
 // Longest bar of a length, px.
 const MAX_BAR = 140;
 // Milliseconds after which a view that no longer moves is drawn in full.
@@ -180,24 +182,31 @@ export class View {
     return size > 0.1 * this.data.keyframes.length ? [x / size, y / size] : [-0.65, -0.76];
   }
 
-  // What is in view at first: some of what was filmed, and the path, within the box and below the cut; its corners where there is nothing yet.
+  // What is in view at first: the path, and some of what there is to see within the box and below the cut; its corners where there is nothing yet.
   toFit() {
     const [low, high] = this.box;
     const top = Math.max(low[2], Math.min(high[2], this.data.cut ?? Infinity));
-    const seen = [...(this.data.path ?? []).map((p) => p.slice(1, 4)), ...places(this.data, 5000)];
+    const path = (this.data.path ?? []).map((p) => p.slice(1, 4));
     const isInside = (place) => place.every((value, i) => value >= low[i] && value <= (i === 2 ? top : high[i]));
-    const inside = seen.filter(isInside);
-    if (inside.length > 1) return inside;
-    return [...Array(8).keys()].map((k) => [k & 1 ? high[0] : low[0], k & 2 ? high[1] : low[1], k & 4 ? top : low[2]]);
+    const seen = places(this.data, 5000).filter(isInside);
+    if (path.length + seen.length > 1) return { path, seen };
+    const corners = [...Array(8).keys()].map((k) => [k & 1 ? high[0] : low[0], k & 2 ? high[1] : low[1], k & 4 ? top : low[2]]);
+    return { path: corners, seen: [] };
   }
 
   // From how far away, and how far beside the centre, all of it just fills the picture. A point at (x, y, z) of the camera's axes, z towards
   // it, is seen where |x - across| <= tan (distance - z): each side bounds distance and place by one point.
   fit(right, up, back) {
-    const offsets = this.toFit().map((place) => new Vector3(...place).sub(new Vector3(...this.centre)));
+    const fromCentre = (place) => new Vector3(...place).sub(new Vector3(...this.centre));
+    const { path, seen } = this.toFit();
+    const [always, mostly] = [path.map(fromCentre), seen.map(fromCentre)];
     const half = Math.tan((this.camera.fov * Math.PI) / 360);
     const along = (axis, tangent) => {
-      const side = (sign) => Math.max(...offsets.map((p) => sign * p.dot(axis) + tangent * p.dot(back)));
+      // but for a few of them: lone pieces far away must not make the rest small
+      const side = (sign) => {
+        const reach = (places, share) => (places.length ? quantiles(places.map((p) => sign * p.dot(axis) + tangent * p.dot(back)), 0, share)[1] : -Infinity);
+        return Math.max(reach(always, 1), reach(mostly, 1 - LONE));
+      };
       const [above, below] = [side(1), side(-1)];
       return { place: (above - below) / 2, distance: (above + below) / (2 * tangent) };
     };
