@@ -90,10 +90,15 @@ pub struct FrameArgs {
     pub map_frame: String,
     /// Frame of the odometry
     #[arg(long, value_name = "FRAME", default_value = "odom")]
-    pub odom_frame: String,
+    odom_frame: String,
     /// Frame of the robot
     #[arg(long, value_name = "FRAME", default_value = "base_link")]
     pub base_frame: String,
+    /// The robot has an odometry of its own: its frame on /tf, or a topic that begins with a slash
+    /// (nav_msgs/Odometry, from --odom-frame to --base-frame). Only map -> odom is published then,
+    /// and metres follow from it
+    #[arg(long, value_name = "FRAME|TOPIC")]
+    pub odometry: Option<String>,
     /// Where the camera sits on the base: place, m, and angles of its body (x ahead, y left, z up),
     /// rad
     #[arg(
@@ -110,6 +115,16 @@ pub struct FrameArgs {
 }
 
 impl FrameArgs {
+    /// The frame of the odometry.
+    #[must_use]
+    pub fn odom_frame(&self) -> &str {
+        let on_tf = self
+            .odometry
+            .as_deref()
+            .filter(|name| !name.starts_with('/'));
+        on_tf.unwrap_or(&self.odom_frame)
+    }
+
     /// base_from_camera of the optical axes, m.
     #[must_use]
     pub fn mount(&self) -> Se3 {

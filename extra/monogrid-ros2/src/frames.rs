@@ -4,6 +4,7 @@
 //! not when a loop is closed, not when the scale is set, not when the map is thrown away. All of
 //! that goes into `map_from_odom`.
 
+use crate::wheels::Scale;
 use monogrid_geometry::{Rotation, Se3, Sim3, Vec3};
 use monogrid_mapping::z_up_from_camera_world;
 use monogrid_slam::FrameReport;
@@ -18,13 +19,13 @@ pub fn mount(place: [f64; 3], [roll, pitch, yaw]: [f64; 3]) -> Se3 {
     Se3::new(base_from_body * body_from_optical, Vec3::from(place))
 }
 
-/// The frame of the map, from the world: that of the mapper, where nobody has told how long a unit
-/// is; in it the camera was first at the origin, and its axes are those of the base then, made
-/// level where an inertial sensor says so.
+/// The frame of the map, from the world: that of the mapper, with its scale where neither somebody
+/// nor wheels say how long a unit is. In it the camera was first at the origin, and its axes are
+/// those of the base then, made level where an inertial sensor says so.
 #[must_use]
-pub fn frame_of_map(mapper_from_world: &Sim3, told_metres_per_unit: Option<f64>) -> Sim3 {
+pub fn frame_of_map(mapper_from_world: &Sim3, scale: Option<Scale>) -> Sim3 {
     Sim3 {
-        scale: told_metres_per_unit.unwrap_or(mapper_from_world.scale),
+        scale: scale.map_or(mapper_from_world.scale, |scale| scale.metres_per_unit),
         ..*mapper_from_world
     }
 }
@@ -244,7 +245,10 @@ mod tests {
         let expected = Vec3::new(2.0 * 0.1_f64.cos(), 0.0, 2.0 * 0.1_f64.sin());
         assert!((ahead - expected).norm() < 1e-9, "{ahead}");
         // what was told counts more than what was measured
-        assert_eq!(frame_of_map(&mapper_from_world, Some(3.0)).scale, 3.0);
+        assert_eq!(
+            frame_of_map(&mapper_from_world, Some(Scale::told(3.0))).scale,
+            3.0
+        );
         assert_eq!(frame_of_map(&mapper_from_world, None), mapper_from_world);
     }
 

@@ -20,4 +20,5 @@ pub mod shown;
 pub mod topics;
 pub mod tracking;
 pub mod trail;
+pub mod wheels;
 pub mod work;

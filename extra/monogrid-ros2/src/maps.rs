@@ -2,12 +2,13 @@
 //! is, and writes files.
 
 use crate::args::Args;
-use crate::convert::{Condition, MAX_PATH_POSES, diagnostics};
+use crate::convert::{Condition, MAX_PATH_POSES, NOT_METRIC, diagnostics};
 use crate::frames::{frame_of_map, map_from_camera};
 use crate::save::save;
 use crate::shown::{Seen, Shown};
 use crate::topics::MapTopics;
 use crate::trail::Trail;
+use crate::wheels::Scale;
 use crate::work::{Answer, Counts, News, Tracked, response};
 use monogrid_geometry::{Pinhole, Se3, Sim3};
 use monogrid_mapping::{LiveView, MapReader};
@@ -52,8 +53,9 @@ struct Totals {
 
 /// Publishes maps.
 pub struct Maps {
-    /// With the scale that was told last.
     args: Args,
+    /// How long a unit of the world is, where somebody tells it or wheels have shown it.
+    scale: Option<Scale>,
     /// The frame of maps before an inertial sensor has a say.
     map_from_world: Sim3,
     topics: MapTopics,
@@ -73,6 +75,7 @@ impl Maps {
     #[must_use]
     pub fn new(args: Args, map_from_world: Sim3, topics: MapTopics, counts: Arc<Counts>) -> Self {
         Self {
+            scale: args.metres_per_unit.map(Scale::told),
             args,
             map_from_world,
             topics,
@@ -137,8 +140,8 @@ impl Maps {
                     self.publish_points(world, &keyframe, &poses);
                 }
             }
-            News::Scale(told) => {
-                self.args.metres_per_unit = told;
+            News::Scale(scale) => {
+                self.scale = scale;
                 // the newest map is published once more, since all lengths are others
                 self.topics.forget();
             }
@@ -181,15 +184,16 @@ impl Maps {
 
     /// The frame of what is published of a map that the mapper has in another.
     fn frame_of(&self, mapper_from_world: &Sim3) -> Sim3 {
-        frame_of_map(mapper_from_world, self.args.metres_per_unit)
+        frame_of_map(mapper_from_world, self.scale)
     }
 
-    /// Metres of a unit of the world, where somebody has told it, or an inertial sensor, which
-    /// changes the scale of the frame.
+    /// Metres of a unit of the world, where somebody has told it, or wheels, or an inertial sensor,
+    /// which changes the scale of the frame.
     fn metres_per_unit(&self) -> Option<f64> {
         let sensed = self.frame_of_mapper().scale;
         let is_sensed = sensed != self.map_from_world.scale;
-        self.args.metres_per_unit.or(is_sensed.then_some(sensed))
+        let told = self.scale.map(|scale| scale.metres_per_unit);
+        told.or(is_sensed.then_some(sensed))
     }
 
     /// Publishes what somebody wants of the newest map.
@@ -289,7 +293,8 @@ impl Maps {
             stamp: Time::from_nanoseconds(now),
             ..Header::default()
         };
-        let message = diagnostics(header, &self.args.name, condition, self.facts());
+        let is_metric = self.metres_per_unit().is_some();
+        let message = diagnostics(header, &self.args.name, condition, is_metric, self.facts());
         self.topics.publish_diagnostics(message);
     }
 
@@ -301,12 +306,14 @@ impl Maps {
         let keyframes = self.world.as_ref().map_or(0, |world| world.finished.len());
         let scale = match self.metres_per_unit() {
             Some(metres) => metres.to_string(),
-            None => "unknown: lengths are not metres".to_owned(),
+            None => NOT_METRIC.to_owned(),
         };
         let window = match self.topics.window {
             Some(radius) => format!("{radius:.1} m around the camera"),
             None => "everything".to_owned(),
         };
+        let deviation = self.scale.and_then(|scale| scale.deviation);
+        let deviation = deviation.map_or_else(String::new, |d| format!("{:.1}", d * 100.0));
         vec![
             ("images received", count(&counts.received)),
             ("images processed", totals.processed.to_string()),
@@ -315,11 +322,13 @@ impl Maps {
             ("images of no use", totals.unusable.to_string()),
             ("last of no use because", totals.unusable_because.clone()),
             ("inertial readings", count(&counts.readings)),
+            ("odometry readings", count(&counts.odometry)),
             ("whole maps sent", self.topics.wholes.to_string()),
             ("messages not sent", unsent.to_string()),
             ("tracking of the last image, ms", tracking),
             ("keyframes", keyframes.to_string()),
             ("metres per unit", scale),
+            ("its standard error by wheels, %", deviation),
             ("map sent", window),
         ]
     }

@@ -1,14 +1,18 @@
 //! The thread of the middleware: hands on what comes, answers services, waits for nothing.
 
-use crate::args::{Args, checked_scale};
-use crate::convert::{camera_of, imu_sample_of};
+use crate::args::{Args, FrameArgs, checked_scale};
+use crate::convert::{camera_of, imu_sample_of, pose_of_transform};
 use crate::node::{Quality, RosNode, Trigger, Wire};
 use crate::parameters::ParameterServices;
 use crate::work::{Answer, Counts, Picture, Work, WorkSender, response};
 use futures::channel::oneshot;
 use futures::future::{self, OptionFuture};
 use futures::{Stream, StreamExt};
+use monogrid_messages::geometry_msgs::{Pose, Transform, Vector3};
+use monogrid_messages::nav_msgs::Odometry;
 use monogrid_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu};
+use monogrid_messages::std_msgs::Header;
+use monogrid_messages::tf2_msgs::TFMessage;
 use ros2_client::{
     MessageInfo, Node, NodeOptions, ParameterValue, ReadError, ServiceTypeName, Subscription,
 };
@@ -53,10 +57,18 @@ pub struct Inputs {
     images: Images,
     info: Option<Subscription<CameraInfo>>,
     imu: Option<Subscription<Imu>>,
+    odometry: Option<OwnOdometry>,
+    frames: FrameArgs,
     save: Trigger,
     reset: Trigger,
     parameters: ParameterServices,
     is_rectified: bool,
+}
+
+/// The robot's own odometry.
+enum OwnOdometry {
+    Tf(Subscription<TFMessage>),
+    Topic(Subscription<Odometry>),
 }
 
 enum Images {
@@ -79,11 +91,20 @@ impl Inputs {
         let info = info.map(|topic| node.subscription(topic, Quality::Sensor));
         let imu = args.imu.as_ref();
         let imu = imu.map(|topic| node.subscription(topic, Quality::Readings));
+        let odometry = args.frames.odometry.as_ref();
+        let odometry = odometry.map(|name| -> anyhow::Result<OwnOdometry> {
+            Ok(match name.starts_with('/') {
+                true => OwnOdometry::Topic(node.subscription(name, Quality::Readings)?),
+                false => OwnOdometry::Tf(node.subscription("/tf", Quality::Readings)?),
+            })
+        });
         let trigger = ServiceTypeName::new("std_srvs", "Trigger");
         Ok(Self {
             images,
             info: info.transpose()?,
             imu: imu.transpose()?,
+            odometry: odometry.transpose()?,
+            frames: args.frames.clone(),
             save: node.service("save", &trigger)?,
             reset: node.service("reset", &trigger)?,
             parameters: ParameterServices::new(node)?,
@@ -110,8 +131,43 @@ impl Inputs {
         let (info, readings) = (OptionFuture::from(info), OptionFuture::from(readings));
         let save = answer(&self.save, work, Work::Save);
         let reset = answer(&self.reset, work, Work::Reset);
+        let take = |pose: Moved<'_>| take_odometry(&pose, &self.frames, work, counts);
+        let odometry = async {
+            match &self.odometry {
+                None => {}
+                Some(OwnOdometry::Tf(topic)) => {
+                    let mut messages = pin!(topic.async_stream());
+                    while let Some(message) = messages.next().await {
+                        let transforms = message.map(|(message, _)| message.transforms);
+                        for moved in transforms.unwrap_or_default() {
+                            take((&moved.header, &moved.child_frame_id, &moved.transform));
+                        }
+                    }
+                }
+                Some(OwnOdometry::Topic(topic)) => {
+                    let mut messages = pin!(topic.async_stream());
+                    while let Some(message) = messages.next().await {
+                        if let Ok((moved, _)) = message {
+                            let Pose {
+                                position,
+                                orientation,
+                            } = moved.pose.pose;
+                            let transform = Transform {
+                                translation: Vector3 {
+                                    x: position.x,
+                                    y: position.y,
+                                    z: position.z,
+                                },
+                                rotation: orientation,
+                            };
+                            take((&moved.header, &moved.child_frame_id, &transform));
+                        }
+                    }
+                }
+            }
+        };
         let services = future::join3(save, reset, self.parameters.serve(node));
-        future::join4(images, info, readings, services).await;
+        future::join5(images, info, readings, odometry, services).await;
     }
 }
 
@@ -172,6 +228,27 @@ async fn take_readings(topic: &Subscription<Imu>, work: &WorkSender, counts: &Co
             // the other threads end after this one
             let _ = work.send(Work::Reading(reading));
         }
+    }
+}
+
+/// A transform to a child.
+type Moved<'a> = (&'a Header, &'a str, &'a Transform);
+
+/// Hands on where the base of the robot is; transforms of other frames are of no use.
+fn take_odometry(
+    (header, child, transform): &Moved<'_>,
+    frames: &FrameArgs,
+    work: &WorkSender,
+    counts: &Counts,
+) {
+    if header.frame_id != frames.odom_frame() || *child != frames.base_frame {
+        return;
+    }
+    if let Some(odom_from_base) = pose_of_transform(transform) {
+        counts.odometry.fetch_add(1, Relaxed);
+        let stamp = header.stamp.nanoseconds();
+        // the other threads end after this one
+        let _ = work.send(Work::Odometry(stamp, odom_from_base));
     }
 }
 

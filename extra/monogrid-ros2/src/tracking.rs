@@ -1,31 +1,41 @@
 //! The thread that tracks: images in, poses out; what the maps need goes to their thread.
 
 use crate::args::{Args, FrameArgs};
-use crate::convert::{gray_image, gray_of_compressed, odometry_of, transform_of};
-use crate::frames::{Frames, Poses, frame_of_map};
+use crate::convert::{
+    OdometryDeviations, UNKNOWN_DEVIATION, gray_image, gray_of_compressed, odometry_of,
+    transform_of,
+};
+use crate::frames::{Frames, Poses, frame_of_map, map_from_camera};
 use crate::node::{Outlet, Quality, RosNode};
+use crate::wheels::{Scale, Wheels};
 use crate::work::{Answer, News, Picture, Tracked, Work, WorkReceiver, response};
-use monogrid_geometry::{Camera, Sim3};
+use monogrid_geometry::{Camera, Se3, Sim3};
 use monogrid_image::GrayImage;
 use monogrid_inertial::ImuSample;
 use monogrid_mapping::MapReader;
 use monogrid_messages::builtin_interfaces::Time;
+use monogrid_messages::geometry_msgs::TransformStamped;
 use monogrid_messages::nav_msgs::Odometry;
 use monogrid_messages::std_msgs::Header;
 use monogrid_messages::tf2_msgs::TFMessage;
 use monogrid_pipeline::{Event, Pipeline, PipelineError, Settings, Unusable};
-use monogrid_slam::{Effort, FrameReport};
+use monogrid_slam::{Effort, FrameReport, KeyframeId, PoseSnapshot};
+use std::collections::VecDeque;
+use std::sync::Arc;
 use std::sync::mpsc::SyncSender;
 
 /// Publishes where the camera is.
 pub struct PosePublisher {
     frames: FrameArgs,
-    odometry: Outlet<Odometry>,
+    /// Where the robot has none of its own.
+    odometry: Option<Outlet<Odometry>>,
     tf: Outlet<TFMessage>,
     tf_static: Outlet<TFMessage>,
     /// The optical frame that was published.
     optical: Option<String>,
     last_stamp: Option<Time>,
+    /// How far the base has moved and turned, m and rad.
+    moved: [f64; 2],
 }
 
 impl PosePublisher {
@@ -36,11 +46,15 @@ impl PosePublisher {
     pub fn new(node: &mut RosNode, frames: &FrameArgs) -> anyhow::Result<Self> {
         Ok(Self {
             frames: frames.clone(),
-            odometry: node.publisher("odom", Quality::Stream)?,
+            odometry: match frames.odometry {
+                None => Some(node.publisher("odom", Quality::Stream)?),
+                Some(_) => None,
+            },
             tf: node.publisher("/tf", Quality::Stream)?,
             tf_static: node.publisher("/tf_static", Quality::Latched)?,
             optical: None,
             last_stamp: None,
+            moved: [0.0; 2],
         })
     }
 
@@ -63,34 +77,105 @@ impl PosePublisher {
         }
     }
 
-    /// Publishes poses at a time; returns how many messages could not be sent.
-    fn publish(&mut self, stamp: Time, poses: &Poses) -> usize {
-        let header = |frame: &str| Header {
-            stamp,
-            frame_id: frame.to_owned(),
-        };
-        let FrameArgs {
-            map_frame,
-            odom_frame,
-            base_frame,
-            ..
-        } = &self.frames;
+    /// Publishes poses at a time; returns how many messages could not be sent. `is_metric`: whether
+    /// the scale is known.
+    fn publish(&mut self, stamp: Time, poses: &Poses, is_metric: bool) -> usize {
+        let odom_from_base = poses.odom_from_base;
         let last = self.last_stamp.replace(stamp);
         let seconds = last.map(|last| (stamp.nanoseconds() - last.nanoseconds()) as f64 * 1e-9);
-        let step = poses.step.zip(seconds);
-        let odom_from_base = &poses.odom_from_base;
-        let odometry = odometry_of(header(odom_frame), base_frame, odom_from_base, step);
-        let mut unsent = usize::from(!self.odometry.publish(odometry));
-        if !self.frames.no_tf {
-            let transforms = vec![
-                transform_of(header(map_frame), odom_frame, &poses.map_from_odom()),
-                transform_of(header(odom_frame), base_frame, odom_from_base),
-            ];
-            unsent += usize::from(!self.tf.publish(TFMessage { transforms }));
+        if let Some(step) = poses.step {
+            self.moved[0] += step.translation.norm();
+            self.moved[1] += step.rotation.angle();
         }
-        unsent
+        let step = poses.step.zip(seconds);
+        let (odom, base) = (self.frames.odom_frame(), &self.frames.base_frame);
+        let deviations = deviations(self.moved, is_metric);
+        let message = odometry_of(
+            header(stamp, odom),
+            base,
+            &odom_from_base,
+            step,
+            &deviations,
+        );
+        let odometry = self.odometry.as_ref();
+        let is_unsent = odometry.is_some_and(|odometry| !odometry.publish(message));
+        let moved = transform_of(header(stamp, odom), base, &odom_from_base);
+        usize::from(is_unsent) + self.publish_map(stamp, &poses.map_from_odom(), Some(moved))
+    }
+
+    /// Publishes where odometry begins in the map, and where the base is, if that is told here.
+    fn publish_map(
+        &self,
+        stamp: Time,
+        map_from_odom: &Se3,
+        odom_from_base: Option<TransformStamped>,
+    ) -> usize {
+        if self.frames.no_tf {
+            return 0;
+        }
+        let (map, odom) = (&self.frames.map_frame, self.frames.odom_frame());
+        let mut transforms = vec![transform_of(header(stamp, map), odom, map_from_odom)];
+        transforms.extend(odom_from_base);
+        usize::from(!self.tf.publish(TFMessage { transforms }))
     }
 }
+
+fn header(stamp: Time, frame: &str) -> Header {
+    Header {
+        stamp,
+        frame_id: frame.to_owned(),
+    }
+}
+
+/// What an odometry by images drifts, of the way and of the turns.
+const DRIFT: [f64; 2] = [0.02, 0.01];
+/// What it is wrong at the beginning, m and rad.
+const FIRST_DEVIATIONS: [f64; 2] = [0.01, 0.005];
+/// m/s and rad/s.
+const VELOCITY_DEVIATIONS: [f64; 2] = [0.1, 0.05];
+
+/// What filters that fuse odometry are told of its error after so many metres and radians. Without
+/// a scale nothing is known of lengths.
+fn deviations(moved: [f64; 2], is_metric: bool) -> OdometryDeviations {
+    let of = |axis: usize| FIRST_DEVIATIONS[axis] + DRIFT[axis] * moved[axis];
+    let [velocity, turning] = VELOCITY_DEVIATIONS;
+    let metric = |deviation: f64| {
+        if is_metric {
+            deviation
+        } else {
+            UNKNOWN_DEVIATION
+        }
+    };
+    OdometryDeviations {
+        pose: [metric(of(0)), of(1)],
+        velocity: [metric(velocity), turning],
+    }
+}
+
+/// Images that wait for odometry of their time.
+const WAITING: usize = 30;
+/// Where odometry begins in the map is published so often at most, ns.
+const CORRECTION_EVERY_NS: i64 = 20_000_000;
+
+/// An image with a pose that waits for odometry of its time.
+struct Waiting {
+    time_ns: i64,
+    world_from_camera: Se3,
+    keyframe: KeyframeId,
+    poses: Arc<PoseSnapshot>,
+}
+
+/// The robot's own odometry.
+struct Beside {
+    wheels: Wheels,
+    waiting: VecDeque<Waiting>,
+    map_from_odom: Option<Se3>,
+    last_sent_ns: i64,
+}
+
+/// An image that is older than the last one by more than this, ns, is the first of a recording that
+/// begins again.
+const BEGINS_AGAIN_NS: i64 = 1_000_000_000;
 
 /// Tracks.
 pub struct Tracking {
@@ -107,6 +192,8 @@ pub struct Tracking {
     next_world: u32,
     last_stamp: Option<Time>,
     publisher: PosePublisher,
+    beside: Option<Beside>,
+    base_from_camera: Se3,
     news: SyncSender<News>,
 }
 
@@ -120,10 +207,20 @@ impl Tracking {
         publisher: PosePublisher,
         news: SyncSender<News>,
     ) -> Self {
-        let map_from_world = frame_of_map(&settings.map_from_world, args.metres_per_unit);
+        let told = args.metres_per_unit.map(Scale::told);
+        let map_from_world = frame_of_map(&settings.map_from_world, told);
+        let base_from_camera = args.frames.mount();
+        let beside = args.frames.odometry.as_ref().map(|_| Beside {
+            wheels: Wheels::new(base_from_camera),
+            waiting: VecDeque::new(),
+            map_from_odom: None,
+            last_sent_ns: i64::MIN,
+        });
         Self {
             settings,
-            frames: Frames::new(args.frames.mount(), map_from_world),
+            beside,
+            base_from_camera,
+            frames: Frames::new(base_from_camera, map_from_world),
             told_metres_per_unit: args.metres_per_unit,
             camera,
             pipeline: None,
@@ -144,7 +241,10 @@ impl Tracking {
                 Work::Reading(reading) => self.take_reading(reading),
                 Work::Scale(told) => {
                     self.told_metres_per_unit = told;
-                    self.tell(News::Scale(told));
+                    self.tell(News::Scale(self.scale()));
+                }
+                Work::Odometry(time_ns, odom_from_base) => {
+                    self.take_odometry(time_ns, odom_from_base);
                 }
                 Work::Reset(answer) => self.reset(answer),
                 Work::Save(answer) => {
@@ -162,14 +262,24 @@ impl Tracking {
     }
 
     fn reset(&mut self, answer: Answer) {
+        self.begin_again();
+        let said = "the next image begins a new map; odometry goes on".to_owned();
+        // whoever has gone away needs no answer
+        let _ = answer.send(response(Ok(said)));
+    }
+
+    fn begin_again(&mut self) {
         // its threads end by themselves
         (self.pipeline, self.maps) = (None, None);
         self.last_stamp = None;
         self.frames.begin_again();
+        if let Some(beside) = &mut self.beside {
+            beside.wheels.begin_again();
+            beside.waiting.clear();
+            beside.map_from_odom = None;
+        }
         self.tell(News::Ended);
-        let said = "the next image begins a new map; odometry goes on".to_owned();
-        // whoever has gone away needs no answer
-        let _ = answer.send(response(Ok(said)));
+        self.tell(News::Scale(self.scale()));
     }
 
     fn take(&mut self, picture: &Picture) {
@@ -204,13 +314,17 @@ impl Tracking {
         image: GrayImage,
     ) -> Result<(Result<FrameReport, Unusable>, Option<usize>), String> {
         let stamp = header.stamp;
-        if let Some(last) = self.last_stamp.filter(|last| *last >= stamp) {
-            return Err(format!(
-                "an image of {} ns came after one of {} ns: time runs backwards; call reset where \
-                 that is meant",
-                stamp.nanoseconds(),
-                last.nanoseconds()
-            ));
+        let last = self
+            .last_stamp
+            .map(|last| (last.nanoseconds(), stamp.nanoseconds()));
+        match last {
+            Some((last, now)) if last - now > BEGINS_AGAIN_NS => self.begin_again(),
+            Some((last, now)) if last >= now => {
+                return Err(format!(
+                    "an image of {now} ns came after one of {last} ns: time runs backwards"
+                ));
+            }
+            _ => {}
         }
         let mut pipeline = match self.pipeline.take() {
             Some(pipeline) => pipeline,
@@ -229,10 +343,14 @@ impl Tracking {
 
     /// Publishes where everything was at an image; how many messages could not be sent.
     fn publish(&mut self, report: &FrameReport) -> usize {
+        if self.beside.is_some() {
+            return 0;
+        }
         self.frames.map_from_world = self.frame_of_map();
         let poses = self.frames.advance(report);
         let stamp = Time::from_nanoseconds(report.timestamp_ns);
-        poses.map_or(0, |poses| self.publisher.publish(stamp, &poses))
+        let is_metric = self.is_metric();
+        poses.map_or(0, |poses| self.publisher.publish(stamp, &poses, is_metric))
     }
 
     /// Says what became of an image, and where everything was if that was not published.
@@ -246,20 +364,108 @@ impl Tracking {
         let stamp = Time::from_nanoseconds(report.timestamp_ns);
         let unsent = unsent.unwrap_or_else(|| self.publish(&report));
         let pipeline = self.pipeline.as_ref();
+        let poses = pipeline.map(|p| p.slam().snapshot()).unwrap_or_default();
+        if let (Some(beside), Some(world_from_camera), Some(keyframe)) =
+            (&mut self.beside, report.world_from_camera, report.keyframe)
+        {
+            if beside.waiting.len() == WAITING {
+                beside.waiting.pop_front();
+            }
+            beside.waiting.push_back(Waiting {
+                time_ns: report.timestamp_ns,
+                world_from_camera,
+                keyframe,
+                poses: Arc::clone(&poses),
+            });
+            self.settle();
+        }
         self.tell(News::Tracked(Box::new(Tracked {
             stamp,
             report,
-            poses: pipeline.map(|p| p.slam().snapshot()).unwrap_or_default(),
+            poses,
             unsent,
         })));
     }
 
-    /// The frame of the map as it is now.
-    fn frame_of_map(&self) -> Sim3 {
+    /// A reading of the robot's own odometry. The robot goes on by it where the camera is lost, so
+    /// where it begins in the map is said at each of its times.
+    fn take_odometry(&mut self, time_ns: i64, odom_from_base: Se3) {
+        let Some(beside) = &mut self.beside else {
+            return;
+        };
+        beside.wheels.add(time_ns, odom_from_base);
+        self.settle();
+        let is_metric = self.is_metric();
+        let Some(beside) = &mut self.beside else {
+            return;
+        };
+        let since = time_ns.saturating_sub(beside.last_sent_ns);
+        // also where time has jumped back
+        let is_due = !(0..CORRECTION_EVERY_NS).contains(&since);
+        if let Some(map_from_odom) = beside.map_from_odom.filter(|_| is_due && is_metric) {
+            beside.last_sent_ns = time_ns;
+            let stamp = Time::from_nanoseconds(time_ns);
+            // the next one says the same
+            self.publisher.publish_map(stamp, &map_from_odom, None);
+        }
+    }
+
+    /// Compares images with the odometry of their time, where that is known now.
+    fn settle(&mut self) {
+        let mut is_other = false;
+        while let Some(beside) = &mut self.beside
+            && let Some(image) = beside.waiting.pop_front()
+        {
+            let Some(odom_from_base) = beside.wheels.at(image.time_ns) else {
+                if beside
+                    .wheels
+                    .newest_ns()
+                    .is_none_or(|newest| newest < image.time_ns)
+                {
+                    beside.waiting.push_front(image);
+                    break;
+                }
+                continue;
+            };
+            let world_from_camera = &image.world_from_camera;
+            let (keyframe, poses) = (image.keyframe, &image.poses);
+            let wheels = &mut beside.wheels;
+            is_other |= wheels.compare(world_from_camera, keyframe, poses, &odom_from_base);
+            let map_from_camera = map_from_camera(&self.frame_of_map(), world_from_camera);
+            let map_from_base = map_from_camera * self.base_from_camera.inverse();
+            if let Some(beside) = &mut self.beside {
+                beside.map_from_odom = Some(map_from_base * odom_from_base.inverse());
+            }
+        }
+        if is_other {
+            self.tell(News::Scale(self.scale()));
+        }
+    }
+
+    /// How long a unit of the world is, where somebody tells it or wheels have shown it.
+    fn scale(&self) -> Option<Scale> {
+        let wheels = self
+            .beside
+            .as_ref()
+            .and_then(|beside| beside.wheels.scale());
+        self.told_metres_per_unit.map(Scale::told).or(wheels)
+    }
+
+    /// Whether lengths are metres: an inertial sensor changes the scale of the mapper's frame.
+    fn is_metric(&self) -> bool {
+        let sensed = self.frame_of_mapper().scale != self.settings.map_from_world.scale;
+        sensed || self.scale().is_some()
+    }
+
+    fn frame_of_mapper(&self) -> Sim3 {
         let view = self.maps.as_ref().and_then(MapReader::latest);
         let base = self.settings.map_from_world;
-        let mapper_from_world = view.map_or(base, |view| view.map_from_world);
-        frame_of_map(&mapper_from_world, self.told_metres_per_unit)
+        view.map_or(base, |view| view.map_from_world)
+    }
+
+    /// The frame of the map as it is now.
+    fn frame_of_map(&self) -> Sim3 {
+        frame_of_map(&self.frame_of_mapper(), self.scale())
     }
 
     fn begin(&mut self) -> Result<Pipeline, String> {

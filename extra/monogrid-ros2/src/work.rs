@@ -1,8 +1,9 @@
 //! What passes between the threads of the node.
 
+use crate::wheels::Scale;
 use futures::channel::mpsc::UnboundedSender;
 use futures::channel::oneshot;
-use monogrid_geometry::{Camera, Pinhole};
+use monogrid_geometry::{Camera, Pinhole, Se3};
 use monogrid_inertial::ImuSample;
 use monogrid_mapping::MapReader;
 use monogrid_messages::builtin_interfaces::Time;
@@ -47,6 +48,8 @@ pub enum Work {
     Picture(Picture),
     /// The next reading of an inertial sensor.
     Reading(ImuSample),
+    /// Where the robot's own odometry says that it is: time, ns, and odom_from_base, m.
+    Odometry(i64, Se3),
     /// A unit of the world is so many metres, as somebody tells; or nobody tells it any more.
     Scale(Option<f64>),
     /// Everything begins again.
@@ -153,8 +156,8 @@ pub enum News {
     Waiting(String),
     /// A keyframe of a world was finished.
     Keyframe(u32, KeptKeyframe, Arc<PoseSnapshot>),
-    /// A unit of the world is so many metres, as somebody tells.
-    Scale(Option<f64>),
+    /// How long a unit of the world is, where somebody tells it or wheels have shown it.
+    Scale(Option<Scale>),
     /// The world is given up.
     Ended,
     /// The map is written to files, with the trajectory as it is known now.
@@ -184,6 +187,8 @@ pub struct Counts {
     pub dropped: AtomicU64,
     /// Readings of the inertial sensor.
     pub readings: AtomicU64,
+    /// Readings of the robot's own odometry.
+    pub odometry: AtomicU64,
 }
 
 #[cfg(test)]

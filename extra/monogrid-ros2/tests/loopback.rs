@@ -15,7 +15,9 @@ use monogrid_inertial::ImuSample;
 use monogrid_messages::builtin_interfaces::Time;
 use monogrid_messages::geometry_msgs::{Pose, Transform};
 use monogrid_messages::nav_msgs::OccupancyGrid;
-use monogrid_ros2::convert::MAX_MESSAGE_BYTES;
+use monogrid_messages::tf2_msgs::TFMessage;
+use monogrid_ros2::convert::{MAX_MESSAGE_BYTES, pose_of_transform};
+use monogrid_ros2::frames::mount;
 use monogrid_worlds::{ImuConfig, SynthSequence, imu_samples};
 use robot::{Heard, Listening, Node, Robot, first_arrivals, latencies, now};
 use std::fs;
@@ -219,6 +221,9 @@ fn poses_are_those_of_a_robot(heard: &Heard) {
         .sum();
     assert!(length > 0.3, "the camera moved by {length}");
     assert_eq!(odometry[0].0.header.frame_id, "odom");
+    // nobody knows how long a unit is
+    assert_eq!(odometry[0].0.pose.covariance[0][0], 1e6);
+    assert_eq!(odometry[0].0.twist.covariance[0][0], 1e6);
     assert_eq!(odometry[0].0.child_frame_id, "base_link");
     assert_eq!(heard.tf.len(), odometry.len());
     for (tf, (odometry, _)) in heard.tf.iter().zip(odometry) {
@@ -394,6 +399,85 @@ fn an_inertial_sensor_makes_the_map_metric_and_level() {
     assert!(loopback.node.interrupt());
 }
 
+/// A robot with wheels that are wrong by 2 % now and then, and spin once: the map is in metres, and
+/// nothing is said of odometry but where it begins.
+#[test]
+fn beside_an_odometry_the_map_is_metric_and_nothing_else_is_said() {
+    let sequence = SynthSequence::small_demo().unwrap();
+    let film = Film::rendered(&sequence, 240);
+    let path = sequence.path();
+    let loopback = Loopback::start(&["--odometry", "odom"]);
+    let (robot, heard) = (&loopback.robot, &loopback.heard);
+    let base_from_camera = mount([0.0; 3], [0.0; 3]);
+    let true_base = |k: usize| path.world_from_camera(k as f64 / 30.0) * base_from_camera.inverse();
+    let mut wheels = vec![(Time::default(), Se3::identity())];
+    for _ in 0..5 {
+        robot.send_info(&film.camera);
+        thread::sleep(Duration::from_millis(100));
+    }
+    let (clock, begin_ns) = (Instant::now(), now().nanoseconds());
+    for (k, image) in film.images.iter().enumerate() {
+        let ns = k as i64 * 1_000_000_000 / 30;
+        let due = Duration::from_nanos(ns as u64);
+        thread::sleep(due.saturating_sub(clock.elapsed()));
+        let stamp = Time::from_nanoseconds(begin_ns + ns);
+        if k > 0 {
+            let step = true_base(k - 1).inverse() * true_base(k);
+            let error = match k {
+                60..75 => 2.0,
+                k if k / 10 % 2 == 0 => 1.02,
+                _ => 0.98,
+            };
+            let last = wheels[wheels.len() - 1].1;
+            wheels.push((stamp, last * step.stretched(error)));
+        }
+        robot.send_odometry(stamp, &wheels[k].1);
+        robot.send_image_of(stamp, image);
+    }
+    heard.wait_until("all images are accounted for", |heard| {
+        heard.accounted() == film.images.len() as u64
+    });
+    heard.wait_until("the map is metric", |heard| {
+        let scale = heard.fact("metres per unit");
+        scale.is_some_and(|scale| scale.parse::<f64>().is_ok()) && heard.full.is_some()
+    });
+    let folder = robot.save().unwrap();
+    let saved = read_trajectory(&Path::new(&folder).join("trajectory.txt")).unwrap();
+    let places = saved.iter().map(|pose| {
+        let truth = path.world_from_camera((pose.timestamp_ns - begin_ns) as f64 * 1e-9);
+        (pose.world_from_camera.translation, truth.translation)
+    });
+    let (found, truth): (Vec<Vec3>, Vec<Vec3>) = places.unzip();
+    let aligned = align_similarity(&found, &truth, true).unwrap();
+    let scale = aligned.target_from_source.scale;
+    assert!(scale.ln().abs() < 0.02, "{scale}");
+    heard.heard(|heard| {
+        let deviation = heard.fact("its standard error by wheels, %").unwrap();
+        let deviation: f64 = deviation.parse().unwrap();
+        assert!(deviation > 0.0 && deviation < 2.0, "{deviation} %");
+        assert!(heard.odometry.is_empty(), "another odometry");
+        let is_of_map = |tf: &&TFMessage| tf.transforms[0].header.frame_id == "map";
+        let said: Vec<&TFMessage> = heard.tf.iter().filter(is_of_map).collect();
+        assert!(said.iter().all(|tf| tf.transforms.len() == 1));
+        assert!(
+            heard.tf.len() - said.len() <= film.images.len(),
+            "odom -> base_link of two"
+        );
+        let last = &said[said.len() - 1].transforms[0];
+        let by_wheels = wheels.iter().find(|(stamp, _)| *stamp == last.header.stamp);
+        let map_from_odom = pose_of_transform(&last.transform).unwrap();
+        let map_from_camera = map_from_odom * by_wheels.unwrap().1 * base_from_camera;
+        let there = saved
+            .iter()
+            .find(|pose| pose.timestamp_ns == last.header.stamp.nanoseconds());
+        let there = there.unwrap().world_from_camera;
+        let apart = (map_from_camera.translation - there.translation).norm();
+        assert!(apart < 0.05, "{apart} m");
+    });
+    let mut node = loopback.node;
+    assert!(node.interrupt());
+}
+
 /// A transform as a line of a file.
 fn written(transform: &Se3) -> String {
     let (t, q) = (transform.translation, transform.rotation);
@@ -456,6 +540,21 @@ fn a_reset_begins_a_new_map(loopback: &Loopback, image: &Image<u8>) {
         let array = heard.diagnostics.as_ref().unwrap();
         array.status[0].message.starts_with("initialising")
     });
+    // a recording that begins again needs no reset
+    let counts = |heard: &Heard| {
+        (
+            heard.count("images processed"),
+            heard.count("images of no use"),
+        )
+    };
+    let (processed, useless) = loopback.heard.heard(counts);
+    let earlier = Time::from_nanoseconds(now().nanoseconds() - 10_000_000_000);
+    loopback.robot.send_image_of(earlier, image);
+    let so_far = (processed + 1, useless);
+    let is_taken = |heard: &Heard| counts(heard) == so_far;
+    loopback
+        .heard
+        .wait_until("the earlier image is taken", is_taken);
 }
 
 /// The bar of a robot: 60 s of the sequence in the folder that `LOOPBACK_SEQUENCE` names. Prints

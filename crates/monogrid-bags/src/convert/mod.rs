@@ -12,4 +12,7 @@ pub use cloud::{BYTES_PER_NUMBER, cloud_of, packed, points_of_cells};
 pub use grid::grid_of;
 pub use image::{ImageError, gray_image, gray_of_compressed};
 pub use inertial::imu_sample_of;
-pub use pose::{odometry_of, path_of, pose_of, pose_of_transform, transform_of};
+pub use pose::{
+    OdometryDeviations, UNKNOWN_DEVIATION, odometry_of, path_of, pose_of, pose_of_transform,
+    transform_of,
+};

@@ -61,13 +61,14 @@ pub fn path_of(header: Header, poses: impl IntoIterator<Item = (Time, Se3)>) -> 
 
 /// Where odometry stands, and how fast it moved over the last `seconds`, in the child's frame;
 /// `step` is last_from_this of the child. The velocity of a first pose is not known: it is 0 with a
-/// large variance.
+/// large variance. Filters that fuse odometry are told its standard deviations.
 #[must_use]
 pub fn odometry_of(
     header: Header,
     child: &str,
     odom_from_base: &Se3,
     step: Option<(Se3, f64)>,
+    deviations: &OdometryDeviations,
 ) -> Odometry {
     let step = step.filter(|(_, seconds)| *seconds > 0.0);
     let twist = step.map_or_else(Twist::default, |(last_from_this, seconds)| {
@@ -78,28 +79,32 @@ pub fn odometry_of(
             angular: vector_of(&turned),
         }
     });
-    let deviations = step.map_or([UNKNOWN_DEVIATION; 2], |_| VELOCITY_DEVIATIONS);
+    let velocity = step.map_or([UNKNOWN_DEVIATION; 2], |_| deviations.velocity);
     Odometry {
         header,
         child_frame_id: child.to_owned(),
         pose: PoseWithCovariance {
             pose: pose_of(odom_from_base),
-            covariance: diagonal(POSE_DEVIATIONS),
+            covariance: diagonal(deviations.pose),
         },
         twist: TwistWithCovariance {
             twist,
-            covariance: diagonal(deviations),
+            covariance: diagonal(velocity),
         },
     }
 }
 
-/// What filters that fuse odometry are told of its error, as wheel odometry does: constants, since
-/// the drift of a single camera's scale is not known. m and rad.
-const POSE_DEVIATIONS: [f64; 2] = [0.1, 0.05];
-/// m/s and rad/s.
-const VELOCITY_DEVIATIONS: [f64; 2] = [0.1, 0.05];
+/// Standard deviations of odometry: along all axes and around them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OdometryDeviations {
+    /// Of the pose, m and rad.
+    pub pose: [f64; 2],
+    /// Of the velocity, m/s and rad/s.
+    pub velocity: [f64; 2],
+}
+
 /// Nothing is known.
-const UNKNOWN_DEVIATION: f64 = 1e3;
+pub const UNKNOWN_DEVIATION: f64 = 1e3;
 
 /// Covariance of what has one standard deviation along all axes and one around them.
 fn diagonal([along, around]: [f64; 2]) -> Covariance {
@@ -126,6 +131,11 @@ mod tests {
     use super::*;
     use monogrid_geometry::rotation_exp;
     use std::f64::consts::FRAC_PI_2;
+
+    const DEVIATIONS: OdometryDeviations = OdometryDeviations {
+        pose: [0.2, 0.05],
+        velocity: [0.1, 0.3],
+    };
 
     #[test]
     fn a_transform_comes_back_and_what_is_none_does_not() {
@@ -180,7 +190,13 @@ mod tests {
         let turn = rotation_exp(&Vec3::new(0.0, 0.0, 0.2));
         let step = Se3::new(turn, turn * Vec3::new(1.0, 0.0, 0.0));
         let here = Se3::new(Rotation::identity(), Vec3::zeros());
-        let odometry = odometry_of(Header::default(), "base", &here, Some((step, 0.1)));
+        let odometry = odometry_of(
+            Header::default(),
+            "base",
+            &here,
+            Some((step, 0.1)),
+            &DEVIATIONS,
+        );
         let twist = odometry.twist.twist;
         assert!((twist.linear.x - 10.0).abs() < 1e-9 && twist.linear.y.abs() < 1e-9);
         assert!((twist.angular.z - 2.0).abs() < 1e-9);
@@ -193,7 +209,7 @@ mod tests {
     fn without_a_step_the_velocity_is_not_known() {
         let here = Se3::identity();
         for step in [None, Some((here, 0.0))] {
-            let odometry = odometry_of(Header::default(), "base", &here, step);
+            let odometry = odometry_of(Header::default(), "base", &here, step, &DEVIATIONS);
             assert_eq!(odometry.twist.twist, Twist::default());
             assert_eq!(odometry.twist.covariance[0][0], 1e6);
         }

@@ -37,24 +37,34 @@ impl Condition {
     }
 }
 
-/// The condition of the node with facts, in the order that they are given.
+/// What is said of a scale that nobody knows.
+pub const NOT_METRIC: &str = "unknown: lengths are not metres";
+
+/// The condition of the node with facts, in the order that they are given. Tracking without metres
+/// is a warning.
 #[must_use]
 pub fn diagnostics(
     header: Header,
     name: &str,
     condition: &Condition,
+    is_metric: bool,
     facts: Vec<(&str, String)>,
 ) -> DiagnosticArray {
     let fact = |(key, value): (&str, String)| KeyValue {
         key: key.to_owned(),
         value,
     };
+    let (mut level, mut message) = (condition.level(), condition.message());
+    if level == OK && !is_metric {
+        level = WARN;
+        message += "; scale unknown: lengths are not metres";
+    }
     DiagnosticArray {
         header,
         status: vec![DiagnosticStatus {
-            level: condition.level(),
+            level,
             name: name.to_owned(),
-            message: condition.message(),
+            message,
             hardware_id: String::new(),
             values: facts.into_iter().map(fact).collect(),
         }],
@@ -67,13 +77,16 @@ mod tests {
 
     #[test]
     fn conditions_say_how_bad_and_why() {
-        let of = |condition: &Condition| {
+        let said = |condition: &Condition, is_metric| {
             let facts = vec![("dropped", "3".to_owned())];
-            let array = diagnostics(Header::default(), "monogrid", condition, facts);
+            let array = diagnostics(Header::default(), "monogrid", condition, is_metric, facts);
             assert_eq!(array.status[0].values[0].key, "dropped");
             (array.status[0].level, array.status[0].message.clone())
         };
+        let of = |condition: &Condition| said(condition, true);
         let tracked = Condition::Tracked;
+        let (level, message) = said(&tracked(TrackingState::Good, None), false);
+        assert!(level == WARN && message.contains("not metres"), "{message}");
         assert_eq!(of(&tracked(TrackingState::Good, None)), (OK, "good".into()));
         let lost = tracked(TrackingState::Lost, Some(LostReason::NoTexture));
         assert_eq!(

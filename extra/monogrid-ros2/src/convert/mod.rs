@@ -3,13 +3,14 @@
 mod diagnostics;
 mod maps;
 
-pub use diagnostics::{Condition, diagnostics};
+pub use diagnostics::{Condition, NOT_METRIC, diagnostics};
 pub use maps::{
     MAX_BYTES, MAX_BYTES_PER_POSE, MAX_PATH_POSES, MAX_POINTS, changed_parts, cloud_of_cells,
     clouds_of_keyframe, last_path_of, octomap_of, part_that_fits,
 };
 pub use monogrid_bags::convert::{
-    camera_of, gray_image, gray_of_compressed, grid_of, imu_sample_of, odometry_of, transform_of,
+    OdometryDeviations, UNKNOWN_DEVIATION, camera_of, gray_image, gray_of_compressed, grid_of,
+    imu_sample_of, odometry_of, pose_of_transform, transform_of,
 };
 
 /// Largest message that is sent, bytes: what is larger can be lost on its way without an error on

@@ -1,6 +1,6 @@
 //! The other process: a camera, and somebody who listens to everything that the node publishes.
 
-use monogrid_geometry::{Camera, Distortion, Vec3};
+use monogrid_geometry::{Camera, Distortion, Se3, Vec3};
 use monogrid_image::Image as Picture;
 use monogrid_inertial::ImuSample;
 use monogrid_messages::RosMessage;
@@ -14,6 +14,7 @@ use monogrid_messages::sensor_msgs::{CameraInfo, Image, Imu, PointCloud2};
 use monogrid_messages::std_msgs::Header;
 use monogrid_messages::std_srvs::{TriggerRequest, TriggerResponse};
 use monogrid_messages::tf2_msgs::TFMessage;
+use monogrid_ros2::convert::transform_of;
 use monogrid_ros2::node::{Outlet, Quality, RosNode, Wire, connect_to};
 use ros2_client::rcl_interfaces::{SetParametersRequest, SetParametersResponse};
 use ros2_client::{
@@ -284,6 +285,7 @@ pub struct Robot {
     images: Outlet<Image>,
     readings: Outlet<Imu>,
     infos: Outlet<CameraInfo>,
+    tf: Outlet<TFMessage>,
     save: Client<Wire<TriggerRequest>, Wire<TriggerResponse>>,
     reset: Client<Wire<TriggerRequest>, Wire<TriggerResponse>>,
     parameters: Client<SetParametersRequest, SetParametersResponse>,
@@ -301,6 +303,7 @@ impl Robot {
         let infos = node
             .publisher("/camera/camera_info", Quality::Latched)
             .unwrap();
+        let tf = node.publisher("/tf", Quality::Stream).unwrap();
         let save = client(&mut node, "/monogrid/save", ("std_srvs", "Trigger"));
         let reset = client(&mut node, "/monogrid/reset", ("std_srvs", "Trigger"));
         let set = ("rcl_interfaces", "SetParameters");
@@ -310,6 +313,7 @@ impl Robot {
             images,
             readings,
             infos,
+            tf,
             save,
             reset,
             parameters,
@@ -355,6 +359,14 @@ impl Robot {
             ..Imu::default()
         };
         assert!(self.readings.publish(message));
+    }
+
+    /// Says where the base is by the wheels.
+    pub fn send_odometry(&self, stamp: Time, odom_from_base: &Se3) {
+        let frame_id = "odom".into();
+        let transform = transform_of(Header { stamp, frame_id }, "base_link", odom_from_base);
+        let transforms = vec![transform];
+        assert!(self.tf.publish(TFMessage { transforms }));
     }
 
     /// Sends an image as it is now.
