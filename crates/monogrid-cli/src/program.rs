@@ -29,7 +29,10 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Err(error) => return failure::usage(&error),
     };
     talk::begin("working");
-    failure::exit_code(failure::caught(|| execute(&cli)))
+    let result = failure::caught(|| execute(&cli));
+    // nothing is drawn behind the last word
+    let _resting = talk::rest();
+    failure::exit_code(result)
 }
 
 fn execute(cli: &Cli) -> CommandResult {

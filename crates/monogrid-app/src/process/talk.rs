@@ -2,7 +2,7 @@
 //! goes on, and on a terminal a spinner does.
 
 use super::console;
-use indicatif::{ProgressBar, ProgressDrawTarget};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -121,6 +121,9 @@ fn show() {
         }
         (Some(line), None) if is_long => {
             let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr_with_hz(8));
+            if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}") {
+                bar.set_style(style);
+            }
             *spinner = Some(bar.with_message(line));
         }
         (None, Some(bar)) => {
