@@ -2,7 +2,9 @@
 
 use crate::frames::mount;
 use clap::Parser;
+use clap::error::ErrorKind;
 use monogrid_geometry::Se3;
+use std::ffi::OsString;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
@@ -56,6 +58,9 @@ pub struct Args {
     /// Namespace of the node and of its topics
     #[arg(long, value_name = "NAMESPACE", default_value = "/")]
     pub namespace: String,
+    /// Another name for a topic or service, as `--ros-args -r` gives it
+    #[arg(long, value_name = "FROM:=TO", value_parser = rule)]
+    pub remap: Vec<(String, String)>,
     #[allow(missing_docs, reason = "would become the description of the program")]
     #[command(flatten)]
     pub frames: FrameArgs,
@@ -133,6 +138,72 @@ impl FrameArgs {
     }
 }
 
+fn rule(text: &str) -> Result<(String, String), String> {
+    let rule = text
+        .split_once(":=")
+        .filter(|(from, to)| !from.is_empty() && !to.is_empty());
+    let (from, to) = rule.ok_or_else(|| format!("{text:?} is not FROM:=TO"))?;
+    Ok((from.to_owned(), to.to_owned()))
+}
+
+impl Args {
+    /// Reads a command line, with what ROS and its launch files add to it: from `--ros-args` to the
+    /// end or to `--`.
+    ///
+    /// # Errors
+    /// What is not understood, and the help and the version that were asked for.
+    pub fn read(arguments: impl IntoIterator<Item = OsString>) -> Result<Self, clap::Error> {
+        let mut own = Vec::new();
+        let mut arguments = arguments.into_iter();
+        while let Some(argument) = arguments.next() {
+            if argument == "--ros-args" {
+                let block = arguments.by_ref().take_while(|argument| argument != "--");
+                let added = of_ros(block.map(|argument| argument.to_string_lossy().into_owned()));
+                let added = added.map_err(|why| clap::Error::raw(ErrorKind::InvalidValue, why))?;
+                own.extend(added.into_iter().map(OsString::from));
+            } else {
+                own.push(argument);
+            }
+        }
+        Self::try_parse_from(own)
+    }
+}
+
+/// What ROS says, in options of the program.
+fn of_ros(mut arguments: impl Iterator<Item = String>) -> Result<Vec<String>, String> {
+    let mut own = Vec::new();
+    while let Some(argument) = arguments.next() {
+        let mut value = || {
+            let value = arguments.next();
+            value.ok_or_else(|| format!("{argument} has no value\n"))
+        };
+        match argument.as_str() {
+            "-r" | "--remap" => {
+                let (from, to) = rule(&value()?).map_err(|why| why + "\n")?;
+                own.push(match from.as_str() {
+                    "__node" | "__name" => format!("--name={to}"),
+                    "__ns" => format!("--namespace={to}"),
+                    _ => format!("--remap={from}:={to}"),
+                });
+            }
+            "-p" | "--param" => {
+                let (name, value) = rule(&value()?).map_err(|why| why + "\n")?;
+                match name.as_str() {
+                    "metres_per_unit" => own.push(format!("--metres-per-unit={value}")),
+                    // all times are those of the images
+                    "use_sim_time" => {}
+                    _ => return Err(format!("there is no parameter {name:?}\n")),
+                }
+            }
+            // what other nodes write to logs stands in the diagnostics
+            "--log-level" | "-e" | "--enclave" => drop(value()?),
+            other if other.starts_with("--enable-") || other.starts_with("--disable-") => {}
+            other => return Err(format!("{other:?} after --ros-args is not understood\n")),
+        }
+    }
+    Ok(own)
+}
+
 fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
     let number = |part: &str| part.trim().parse().ok().filter(|v: &f64| v.is_finite());
     let numbers: Option<Vec<f64>> = text.split(',').map(number).collect();
@@ -192,6 +263,32 @@ mod tests {
         let down = parse(&["--base-from-camera", "0,0,0,0,1.5707963267948966,0"]).unwrap();
         let ahead = down.frames.mount() * Vec3::new(0.0, 0.0, 1.0);
         assert!((ahead - Vec3::new(0.0, 0.0, -1.0)).norm() < 1e-12);
+    }
+
+    #[test]
+    fn what_ros_says_after_ros_args() {
+        let read = |line: &str| Args::read(line.split(' ').map(OsString::from));
+        let args = read(
+            "node --image /a --ros-args -r __node:=eye -r __ns:=/robot --remap map:=/floor \
+             -p use_sim_time:=true -p metres_per_unit:=0.5 --log-level info -- --compressed",
+        );
+        let args = args.unwrap();
+        assert_eq!(
+            (args.name.as_str(), args.namespace.as_str()),
+            ("eye", "/robot")
+        );
+        assert_eq!(args.remap, [("map".to_owned(), "/floor".to_owned())]);
+        assert_eq!((args.metres_per_unit, args.compressed), (Some(0.5), true));
+        for (wrong, named) in [
+            ("node --ros-args -r map", "FROM:=TO"),
+            ("node --ros-args -r", "-r"),
+            ("node --ros-args -p speed:=1", "speed"),
+            ("node --ros-args --params-file x.yaml", "--params-file"),
+            ("node --ros-args -p metres_per_unit:=-1", "metres-per-unit"),
+        ] {
+            let error = read(wrong).unwrap_err().to_string();
+            assert!(error.contains(named), "{error}");
+        }
     }
 
     #[test]

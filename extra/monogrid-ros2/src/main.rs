@@ -1,7 +1,6 @@
 //! `monogrid-ros2`: see the library of the same name.
 
 use anyhow::Context as _;
-use clap::Parser;
 use futures::channel::mpsc;
 use futures::{StreamExt, future, pin_mut};
 use monogrid_datasets::{Calibration, ImuCalibration, printable, read_transform};
@@ -26,7 +25,7 @@ use std::thread;
 const NEWS_AHEAD: usize = 256;
 
 fn main() -> ExitCode {
-    let args = match Args::try_parse() {
+    let args = match Args::read(std::env::args_os()) {
         Ok(args) => args,
         // the help of the program, which holds nothing from outside
         Err(help) if !help.use_stderr() => help.exit(),
@@ -66,6 +65,7 @@ fn run(args: Args) -> anyhow::Result<()> {
     let counts = Arc::new(Counts::default());
     let options = options(&args, work_sender.clone());
     let mut node = RosNode::new(&context, &args.namespace, &args.name, options)?;
+    node.remap(&args.remap)?;
     let publisher = PosePublisher::new(&mut node, &args.frames)?;
     let topics = MapTopics::new(&mut node, &args.frames.map_frame)?;
     let inputs = Inputs::new(&mut node, &args)?;

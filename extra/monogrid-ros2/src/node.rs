@@ -53,6 +53,10 @@ pub fn connect_to(domain: u16, is_local: bool) -> anyhow::Result<Context> {
     Ok(Context::from_domain_participant(participant)?)
 }
 
+fn not_a_name(topic: &str) -> String {
+    format!("{topic:?} is no name of a topic")
+}
+
 /// How a topic is sent or received.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quality {
@@ -119,6 +123,8 @@ pub struct RosNode {
     pub node: Node,
     full_name: NodeName,
     participant: DomainParticipant,
+    /// Other names for topics and services, from the root.
+    remaps: Vec<(String, String)>,
 }
 
 /// Where messages go out.
@@ -163,21 +169,39 @@ impl RosNode {
             node: context.new_node(node_name.clone(), options)?,
             full_name: node_name,
             participant: context.domain_participant(),
+            remaps: Vec::new(),
         })
     }
 
-    /// A topic by its name, from the root or in the node's namespace.
+    /// Topics and services that are made from now on have other names.
+    ///
+    /// # Errors
+    /// A name that is none.
+    pub fn remap(&mut self, rules: &[(String, String)]) -> anyhow::Result<()> {
+        for (from, to) in rules {
+            Name::parse(&self.absolute(to)).with_context(|| not_a_name(to))?;
+            self.remaps.push((self.absolute(from), self.absolute(to)));
+        }
+        Ok(())
+    }
+
+    /// A name from the root.
+    fn absolute(&self, name: &str) -> String {
+        if name.starts_with('/') {
+            return name.to_owned();
+        }
+        format!(
+            "{}/{name}",
+            self.full_name.namespace().trim_end_matches('/')
+        )
+    }
+
+    /// A topic or service by its name, from the root or in the node's namespace.
     fn name_of(&self, topic: &str) -> anyhow::Result<Name> {
-        let absolute = if topic.starts_with('/') {
-            topic.to_owned()
-        } else {
-            format!(
-                "{}/{topic}",
-                self.full_name.namespace().trim_end_matches('/')
-            )
-        };
-        let name = Name::parse(&absolute);
-        name.with_context(|| format!("{topic:?} is no name of a topic"))
+        let absolute = self.absolute(topic);
+        let rule = self.remaps.iter().find(|(from, _)| *from == absolute);
+        let name = Name::parse(rule.map_or(&absolute, |(_, to)| to));
+        name.with_context(|| not_a_name(topic))
     }
 
     /// A topic with messages of this type.

@@ -332,7 +332,18 @@ fn ten_seconds_of_a_small_camera() {
 fn who_comes_late_gets_one_map() {
     let film = Film::rendered(&SynthSequence::small_demo().unwrap(), 150);
     let domain = domain();
-    let mut node = Node::start(domain, &["--map-period", "0.2", "--threads", "2"]);
+    // what is heard as `map` has another name in the node
+    let renamed = ["--ros-args", "-r", "__ns:=/robot", "-r", "map:=/map"];
+    let others = [
+        "path",
+        "octomap_full",
+        "octomap_binary",
+        "octomap_point_cloud_centers",
+    ];
+    let others = others.map(|topic| ["-r".to_owned(), format!("{topic}:=/{topic}")]);
+    let others: Vec<&str> = others.iter().flatten().map(String::as_str).collect();
+    let options = ["--map-period", "0.2", "--threads", "2"];
+    let mut node = Node::start(domain, &[&options[..], &renamed, &others].concat());
     let robot = Robot::start(domain);
     thread::sleep(Duration::from_secs(2));
     send(&robot, &node, &film, 150);
