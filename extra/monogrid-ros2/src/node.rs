@@ -66,8 +66,9 @@ pub enum Quality {
     Readings,
     /// All of them, to those who listen now; what cannot be sent at once is not sent.
     Stream,
-    /// All of them, one after the other, to those who listen now: parts of something large. The next
-    /// one waits a moment for everybody to have the last one, and is not sent when that is too long.
+    /// All of them, one after the other, to those who listen now: parts of something large. The
+    /// next one waits a moment for everybody to have the last one, and is not sent when that is too
+    /// long.
     Parts,
     /// The last one, also to those who come later: maps, as nav2 and RViz want them. While somebody
     /// has not got it yet, no other can be sent.
