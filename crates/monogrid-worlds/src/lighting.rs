@@ -4,11 +4,11 @@
 //! The same sample directions serve every texel, so plain walls stay free of noise that a camera
 //! could track.
 
-use super::bvh::P3;
+use super::bvh::{Bvh, P3, Triangle};
+use super::light_map::LightMap;
 use super::packet::{Packet, set_lane};
-use super::scene::{AreaLight, Patch, Scene, arc_lengths};
-use super::texture::between;
-use super::world::World;
+use super::scene::{AreaLight, Patch, Scene};
+use super::world::{Light, Shading, Texels, World};
 use rayon::prelude::*;
 use std::f32::consts::{PI, TAU};
 
@@ -60,62 +60,9 @@ impl LightingConfig {
 const RAYS: usize = 16;
 /// Start of secondary rays above the surface, m: more than the sag of tessellated round pieces.
 const LIFT_M: f32 = 0.003;
-/// Texels per side of a light map at most.
-const MAX_TEXELS: usize = 1024;
 /// Light that comes from everywhere, relative to the mean direct light (stands for the bounces
 /// after the first).
 const AMBIENT: f32 = 0.25;
-
-/// Irradiance on one patch.
-#[derive(Clone, Debug)]
-pub(super) struct LightMap {
-    width: usize,
-    height: usize,
-    values: Vec<f32>,
-}
-
-impl LightMap {
-    /// Number of texels along u and v for texels of a size.
-    pub fn layout(patch: &Patch, texel_m: f32) -> (usize, usize) {
-        let (columns, rows) = (patch.columns, patch.rows);
-        let along_u = arc_lengths(columns, |i| patch.points[(rows / 2) * columns + i]);
-        let along_v = arc_lengths(rows, |j| patch.points[j * columns + columns / 2]);
-        let texels = |l: f32| ((l / texel_m).round() as usize + 1).min(MAX_TEXELS);
-        (texels(along_u[columns - 1]), texels(along_v[rows - 1]))
-    }
-
-    /// Bilinear value at a point in texels, clamped to the map.
-    #[inline]
-    pub fn sample(&self, x: f32, y: f32) -> f32 {
-        let x = x.clamp(0.0, (self.width - 1) as f32);
-        let y = y.clamp(0.0, (self.height - 1) as f32);
-        let (ix, iy) = (x as usize, y as usize);
-        let (fx, fy) = (x - ix as f32, y - iy as f32);
-        let right = usize::from(ix + 1 < self.width);
-        let below = if iy + 1 < self.height { self.width } else { 0 };
-        let k = iy * self.width + ix;
-        let (a, b) = (self.values[k], self.values[k + right]);
-        let (c, d) = (self.values[k + below], self.values[k + below + right]);
-        between([a, b, c, d], [fx, fy])
-    }
-
-    /// 3x3 binomial smoothing, borders repeated.
-    fn smoothed(&self) -> Self {
-        let (w, h) = (self.width, self.height);
-        let blur = |source: &[f32], count: usize, stride: usize, start: usize, k: usize| {
-            let at = |i: usize| source[start + i * stride];
-            0.5 * at(k) + 0.25 * (at(k.saturating_sub(1)) + at((k + 1).min(count - 1)))
-        };
-        let along_row = |k: usize| blur(&self.values, w, 1, k / w * w, k % w);
-        let rows: Vec<f32> = (0..w * h).map(along_row).collect();
-        let along_column = |k: usize| blur(&rows, h, w, k % w, k / w);
-        Self {
-            width: w,
-            height: h,
-            values: (0..w * h).map(along_column).collect(),
-        }
-    }
-}
 
 /// Position and normal of a patch at the centre of a texel.
 fn texel_point(patch: &Patch, u: f32, v: f32) -> (P3, P3) {
@@ -161,8 +108,73 @@ fn fill(scene: &Scene, texel_m: f32, value: &(dyn Fn(&P3, &P3) -> f32 + Sync)) -
         .collect()
 }
 
+impl World {
+    /// Lights a scene and prepares it for rendering.
+    #[must_use]
+    pub fn new(name: &str, scene: &Scene, lighting: &LightingConfig) -> Self {
+        let lighting = &lighting.fitted_to(scene);
+        let mut triangles = Vec::new();
+        let mut shading = Vec::new();
+        for (index, patch) in scene.patches.iter().enumerate() {
+            let layout = LightMap::layout(patch, lighting.texel_m);
+            for j in 0..patch.rows - 1 {
+                for i in 0..patch.columns - 1 {
+                    add_cell(&mut triangles, &mut shading, patch, index, layout, [i, j]);
+                }
+            }
+        }
+        let bvh = Bvh::new(&triangles);
+        let shading = bvh.ids.iter().map(|&id| shading[id as usize]).collect();
+        let mut world = Self::unlit(name, bvh, shading, scene.materials.clone());
+        bake(&mut world, scene, lighting);
+        world
+    }
+}
+
+/// Two triangles of a cell of a patch's grid; those of no area (at poles) are left out.
+fn add_cell(
+    triangles: &mut Vec<Triangle>,
+    shading: &mut Vec<Shading>,
+    patch: &Patch,
+    map: usize,
+    layout: (usize, usize),
+    [i, j]: [usize; 2],
+) {
+    let light_at = |[x, y]: [usize; 2]| {
+        [
+            x as f32 / (patch.columns - 1) as f32 * layout.0 as f32 - 0.5,
+            y as f32 / (patch.rows - 1) as f32 * layout.1 as f32 - 0.5,
+        ]
+    };
+    for [second, third] in [[[i + 1, j], [i + 1, j + 1]], [[i + 1, j + 1], [i, j + 1]]] {
+        let corners = [[i, j], second, third];
+        let points = corners.map(|[x, y]| y * patch.columns + x);
+        let [a, b, c] = points.map(|k| patch.points[k]);
+        let triangle = Triangle::new(a, b, c);
+        let scaled_normal = triangle.scaled_normal();
+        let area2 = scaled_normal.norm();
+        if area2 < 1e-10 {
+            continue;
+        }
+        let texels = Texels::of_corners(points.map(|k| patch.texels[k]));
+        let mut normal = scaled_normal / area2;
+        if normal.dot(&patch.normals[points[0]]) < 0.0 {
+            normal = -normal;
+        }
+        shading.push(Shading {
+            material: patch.material as u32,
+            light: Light::Map(map as u32, Texels::of_corners(corners.map(light_at))),
+            texels,
+            texels_per_m: texels.per_m(area2),
+            normal,
+            tint: [1.0; 3],
+        });
+        triangles.push(triangle);
+    }
+}
+
 /// Computes the light maps and the exposure of a world whose triangles are in place.
-pub(super) fn bake(world: &mut World, scene: &Scene, config: &LightingConfig) {
+fn bake(world: &mut World, scene: &Scene, config: &LightingConfig) {
     let direct = fill(scene, config.texel_m, &|point, normal| {
         direct_light(world, &scene.lights, point, normal)
     });

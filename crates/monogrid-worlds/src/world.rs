@@ -1,9 +1,9 @@
 //! A world ready to be rendered: triangles in a hierarchy, their shading, their baked light.
 
-use super::bvh::{Bounds, Bvh, Hit, P3, Triangle};
-use super::lighting::{LightMap, LightingConfig, bake};
-use super::mesh::{MeshLighting, MeshModel, vertex_light};
-use super::scene::{Material, Patch, Scene};
+use super::bvh::{Bounds, Bvh, Hit, P3};
+use super::light_map::LightMap;
+use super::scene::Material;
+use super::triangle_mesh::TriangleMesh;
 
 /// An affine function of the barycentric coordinates of a triangle, texels: its value at the first
 /// corner and its changes with u and v.
@@ -16,7 +16,7 @@ pub(super) struct Texels {
 
 impl Texels {
     /// By its values at the corners.
-    fn of_corners([a, b, c]: [[f32; 2]; 3]) -> Self {
+    pub(super) fn of_corners([a, b, c]: [[f32; 2]; 3]) -> Self {
         Self {
             base: a,
             by_u: [b[0] - a[0], b[1] - a[1]],
@@ -30,7 +30,7 @@ impl Texels {
     }
 
     /// Linear density on a triangle of half this area, texels per metre.
-    fn per_m(&self, area2: f32) -> f32 {
+    pub(super) fn per_m(&self, area2: f32) -> f32 {
         let [p, q] = [self.by_u, self.by_v];
         ((p[0] * q[1] - p[1] * q[0]).abs() / area2).sqrt()
     }
@@ -73,42 +73,13 @@ pub struct World {
     pub(super) exposure: f32,
 }
 
-/// Triangles of a world or mesh, with the grey reflectance of each vertex.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct TriangleMesh {
-    /// Vertices in the world, m.
-    pub vertices: Vec<[f32; 3]>,
-    /// Indices of the vertices of each triangle.
-    pub triangles: Vec<[u32; 3]>,
-    /// Reflectance in [0, 1] per vertex; empty when unknown.
-    pub albedo: Vec<f32>,
-    /// Red, green and blue per vertex, as displayed; empty when unknown.
-    pub colours: Vec<[u8; 3]>,
-}
-
 impl World {
-    /// Lights a scene and prepares it for rendering.
-    #[must_use]
-    pub fn new(name: &str, scene: &Scene, lighting: &LightingConfig) -> Self {
-        let lighting = &lighting.fitted_to(scene);
-        let mut triangles = Vec::new();
-        let mut shading = Vec::new();
-        for (index, patch) in scene.patches.iter().enumerate() {
-            let layout = LightMap::layout(patch, lighting.texel_m);
-            for j in 0..patch.rows - 1 {
-                for i in 0..patch.columns - 1 {
-                    add_cell(&mut triangles, &mut shading, patch, index, layout, [i, j]);
-                }
-            }
-        }
-        let bvh = Bvh::new(&triangles);
-        let shading = bvh.ids.iter().map(|&id| shading[id as usize]).collect();
-        let mut world = Self::unlit(name, bvh, shading, scene.materials.clone());
-        bake(&mut world, scene, lighting);
-        world
-    }
-
-    fn unlit(name: &str, bvh: Bvh, shading: Vec<Shading>, materials: Vec<Material>) -> Self {
+    pub(super) fn unlit(
+        name: &str,
+        bvh: Bvh,
+        shading: Vec<Shading>,
+        materials: Vec<Material>,
+    ) -> Self {
         Self {
             name: name.to_owned(),
             bvh,
@@ -117,37 +88,6 @@ impl World {
             light_maps: Vec::new(),
             exposure: 1.0,
         }
-    }
-
-    /// A mesh as a world; `None` where so many of its triangles lie in one another that a ray would
-    /// be compared with more than `max_tests` of them.
-    pub(crate) fn from_model(
-        name: &str,
-        model: &MeshModel,
-        lighting: MeshLighting,
-        max_tests: f32,
-    ) -> Option<Self> {
-        let mesh = &model.mesh;
-        let triangle = |t: &[u32; 3]| {
-            let [a, b, c] = t.map(|k| P3::from(mesh.vertices[k as usize]));
-            Triangle::new(a, b, c)
-        };
-        let triangles = mesh.triangles.iter().map(triangle).enumerate();
-        // triangles without area cannot be seen, and have no normal
-        let (used, triangles): (Vec<usize>, Vec<Triangle>) = triangles
-            .filter(|(_, triangle)| triangle.scaled_normal().norm() > 0.0)
-            .unzip();
-        let bvh = Bvh::new(&triangles);
-        if bvh.tests_per_ray() > max_tests {
-            return None;
-        }
-        let light = vertex_light(mesh, &bvh, lighting);
-        let materials = model.all_materials();
-        let shading = bvh.ids.iter().zip(&bvh.triangles).map(|(&id, triangle)| {
-            mesh_shading(model, &materials, &light, used[id as usize], triangle)
-        });
-        let shading = shading.collect();
-        Some(Self::unlit(name, bvh, shading, materials))
     }
 
     /// Its name.
@@ -217,78 +157,5 @@ impl World {
             return albedo * material.emission / self.exposure;
         }
         albedo * self.irradiance(shading, hit.u, hit.v)
-    }
-}
-
-/// Shading of one triangle of a mesh.
-fn mesh_shading(
-    model: &MeshModel,
-    materials: &[Material],
-    light: &[f32],
-    index: usize,
-    triangle: &Triangle,
-) -> Shading {
-    let corners = model.mesh.triangles[index];
-    let material = model.material(index);
-    let at = |values: &[f32]| corners.map(|k| values.get(k as usize).copied().unwrap_or(1.0));
-    let scaled_normal = triangle.scaled_normal();
-    let area2 = scaled_normal.norm();
-    let mut shading = Shading {
-        material,
-        light: Light::Vertices(at(light)),
-        texels: Texels::default(),
-        texels_per_m: 0.0,
-        normal: scaled_normal / area2,
-        tint: at(&model.mesh.albedo),
-    };
-    let texture = materials[material as usize].texture.as_ref();
-    if let (Some((texture, _)), Some(uv)) = (texture, model.corner_uv.get(index)) {
-        let (width, height) = texture.size();
-        let in_texels = |[u, v]: [f32; 2]| [u * width as f32, v * height as f32];
-        shading.texels = Texels::of_corners(uv.map(in_texels));
-        shading.texels_per_m = shading.texels.per_m(area2);
-    }
-    shading
-}
-
-/// Two triangles of a cell of a patch's grid; those of no area (at poles) are left out.
-fn add_cell(
-    triangles: &mut Vec<Triangle>,
-    shading: &mut Vec<Shading>,
-    patch: &Patch,
-    map: usize,
-    layout: (usize, usize),
-    [i, j]: [usize; 2],
-) {
-    let light_at = |[x, y]: [usize; 2]| {
-        [
-            x as f32 / (patch.columns - 1) as f32 * layout.0 as f32 - 0.5,
-            y as f32 / (patch.rows - 1) as f32 * layout.1 as f32 - 0.5,
-        ]
-    };
-    for [second, third] in [[[i + 1, j], [i + 1, j + 1]], [[i + 1, j + 1], [i, j + 1]]] {
-        let corners = [[i, j], second, third];
-        let points = corners.map(|[x, y]| y * patch.columns + x);
-        let [a, b, c] = points.map(|k| patch.points[k]);
-        let triangle = Triangle::new(a, b, c);
-        let scaled_normal = triangle.scaled_normal();
-        let area2 = scaled_normal.norm();
-        if area2 < 1e-10 {
-            continue;
-        }
-        let texels = Texels::of_corners(points.map(|k| patch.texels[k]));
-        let mut normal = scaled_normal / area2;
-        if normal.dot(&patch.normals[points[0]]) < 0.0 {
-            normal = -normal;
-        }
-        shading.push(Shading {
-            material: patch.material as u32,
-            light: Light::Map(map as u32, Texels::of_corners(corners.map(light_at))),
-            texels,
-            texels_per_m: texels.per_m(area2),
-            normal,
-            tint: [1.0; 3],
-        });
-        triangles.push(triangle);
     }
 }

@@ -3,7 +3,7 @@
 use super::imu::{ImuConfig, imu_samples};
 use super::render::Renderer;
 use super::sequence::{SynthConfig, SynthSequence};
-use super::world::TriangleMesh;
+use super::triangle_mesh::TriangleMesh;
 use monogrid_datasets::{
     Calibration, DatasetError, TimedPose, encode_png, encode_png_16, format_seconds,
     write_atomically, write_atomically_with, write_imu, write_tum,

@@ -2,7 +2,7 @@
 
 use super::super::bvh::{Bvh, P3};
 use super::super::lighting::across;
-use super::super::world::TriangleMesh;
+use super::super::triangle_mesh::TriangleMesh;
 use super::MeshLighting;
 use rayon::prelude::*;
 use std::f32::consts::TAU;

@@ -7,14 +7,16 @@ mod obj;
 mod pcd;
 mod ply;
 
+use super::bvh::{Bvh, P3, Triangle};
 use super::scene::Material;
 use super::texture::Texture;
-use super::world::{TriangleMesh, World};
+use super::triangle_mesh::TriangleMesh;
+use super::world::{Light, Shading, Texels, World};
+use light::vertex_light;
 use monogrid_datasets::DatasetError;
 use monogrid_image::{GrayImage, Resize, resize_area};
 use std::path::Path;
 
-pub(super) use light::vertex_light;
 pub use ply::read_ply;
 
 /// A mesh with what it is covered with.
@@ -52,6 +54,37 @@ const MAX_TESTS_PER_RAY: f32 = 1000.0;
 const UNKNOWN_ALBEDO: f32 = 0.5;
 
 impl World {
+    /// A mesh as a world; `None` where so many of its triangles lie in one another that a ray would
+    /// be compared with more than `max_tests` of them.
+    pub(crate) fn from_model(
+        name: &str,
+        model: &MeshModel,
+        lighting: MeshLighting,
+        max_tests: f32,
+    ) -> Option<Self> {
+        let mesh = &model.mesh;
+        let triangle = |t: &[u32; 3]| {
+            let [a, b, c] = t.map(|k| P3::from(mesh.vertices[k as usize]));
+            Triangle::new(a, b, c)
+        };
+        let triangles = mesh.triangles.iter().map(triangle).enumerate();
+        // triangles without area cannot be seen, and have no normal
+        let (used, triangles): (Vec<usize>, Vec<Triangle>) = triangles
+            .filter(|(_, triangle)| triangle.scaled_normal().norm() > 0.0)
+            .unzip();
+        let bvh = Bvh::new(&triangles);
+        if bvh.tests_per_ray() > max_tests {
+            return None;
+        }
+        let light = vertex_light(mesh, &bvh, lighting);
+        let materials = model.all_materials();
+        let shading = bvh.ids.iter().zip(&bvh.triangles).map(|(&id, triangle)| {
+            mesh_shading(model, &materials, &light, used[id as usize], triangle)
+        });
+        let shading = shading.collect();
+        Some(Self::unlit(name, bvh, shading, materials))
+    }
+
     /// A mesh file as a world, by its extension (`.obj`, `.ply`, `.glb`).
     ///
     /// # Errors
@@ -68,6 +101,37 @@ impl World {
             DatasetError::content(path, found, "a surface, as scans and models have it")
         })
     }
+}
+
+/// Shading of one triangle of a mesh.
+fn mesh_shading(
+    model: &MeshModel,
+    materials: &[Material],
+    light: &[f32],
+    index: usize,
+    triangle: &Triangle,
+) -> Shading {
+    let corners = model.mesh.triangles[index];
+    let material = model.material(index);
+    let at = |values: &[f32]| corners.map(|k| values.get(k as usize).copied().unwrap_or(1.0));
+    let scaled_normal = triangle.scaled_normal();
+    let area2 = scaled_normal.norm();
+    let mut shading = Shading {
+        material,
+        light: Light::Vertices(at(light)),
+        texels: Texels::default(),
+        texels_per_m: 0.0,
+        normal: scaled_normal / area2,
+        tint: at(&model.mesh.albedo),
+    };
+    let texture = materials[material as usize].texture.as_ref();
+    if let (Some((texture, _)), Some(uv)) = (texture, model.corner_uv.get(index)) {
+        let (width, height) = texture.size();
+        let in_texels = |[u, v]: [f32; 2]| [u * width as f32, v * height as f32];
+        shading.texels = Texels::of_corners(uv.map(in_texels));
+        shading.texels_per_m = shading.texels.per_m(area2);
+    }
+    shading
 }
 
 impl MeshModel {

@@ -1,7 +1,7 @@
 //! Point clouds of PCL (`.pcd`, versions 0.5 to 0.7): text, binary, and binary compressed by LZF,
 //! field after field.
 
-use crate::world::TriangleMesh;
+use crate::triangle_mesh::TriangleMesh;
 use monogrid_datasets::DatasetError;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
@@ -354,7 +354,7 @@ fn unpacked_lzf(packed: &[u8], size: usize) -> Result<Vec<u8>, String> {
 #[cfg(test)]
 mod tests {
     use super::{read, unpacked_lzf};
-    use crate::world::TriangleMesh;
+    use crate::triangle_mesh::TriangleMesh;
 
     fn header(data: &str) -> String {
         format!(

@@ -1,6 +1,6 @@
 //! Stanford `.ply` meshes, ascii and binary, with vertex colours.
 
-use crate::world::TriangleMesh;
+use crate::triangle_mesh::TriangleMesh;
 use monogrid_datasets::DatasetError;
 use serde::Deserialize;
 use serde_ply::{DeserializeError, PlyReader, PropertyType, ScalarType};
