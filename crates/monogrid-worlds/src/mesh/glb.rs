@@ -10,11 +10,11 @@ use std::collections::BTreeSet;
 use std::io::Read;
 use std::path::Path;
 
-/// Vertices of a scene at most; a mesh may be in it many times.
-const MAX_VERTICES: usize = 1 << 24;
+/// Pixels of a picture at most.
+const MAX_PIXELS: usize = 1 << 24;
 
 /// Pictures that are decoded at most: beyond them there are the colours of vertices and materials.
-const MAX_PICTURES: usize = 64;
+const MAX_PICTURES: usize = 16;
 
 /// From y up to z up.
 const Z_UP: Matrix4<f32> = Matrix4::new(
@@ -39,6 +39,7 @@ fn parse(bytes: &[u8]) -> Result<MeshModel, String> {
     let mut scene = Scene {
         json: &json,
         binary,
+        max_vertices: bytes.len(),
         visited: BTreeSet::new(),
         pictures_left: MAX_PICTURES,
         model: MeshModel::default(),
@@ -83,6 +84,8 @@ fn floats<const N: usize>(list: &Value) -> Option<[f32; N]> {
 struct Scene<'a> {
     json: &'a Value,
     binary: &'a [u8],
+    /// A mesh may be in a scene many times: no more vertices than the file has bytes.
+    max_vertices: usize,
     /// A scene is a tree.
     visited: BTreeSet<usize>,
     pictures_left: usize,
@@ -118,8 +121,8 @@ impl Scene<'_> {
         let attributes = &part["attributes"];
         let places = self.accessor(&attributes["POSITION"])?;
         let first = self.model.mesh.vertices.len();
-        if first + places.len() > MAX_VERTICES {
-            return Err(format!("more than {MAX_VERTICES} vertices"));
+        if first + places.len() > self.max_vertices {
+            return Err(format!("more than {} vertices", self.max_vertices));
         }
         let material = part["material"].as_u64().unwrap_or(u64::MAX) as usize;
         let material = &self.json["materials"][material]["pbrMetallicRoughness"];
@@ -182,7 +185,7 @@ impl Scene<'_> {
             .get(view["byteOffset"].as_u64().unwrap_or(0) as usize..)?;
         let bytes = bytes.get(..view["byteLength"].as_u64()? as usize)?;
         let name = Path::new("picture of a .glb");
-        decode_jpeg_rgb(bytes, MAX_VERTICES, name).ok()?
+        decode_jpeg_rgb(bytes, MAX_PIXELS, name).ok()?
     }
 
     /// The values of an accessor, up to four each.
@@ -357,6 +360,16 @@ mod tests {
         assert!(wrong("/accessors/1/componentType", json!(5123)).contains("accessor 1"));
         assert!(wrong("/nodes/1/children", json!([1])).contains("twice"));
         assert!(wrong("/accessors/0/count", json!(2)).contains("corner"));
+        let mut often = json.clone();
+        let node = json!({ "mesh": 0 });
+        often["nodes"] = vec![node; 2000].into();
+        often["scenes"][0]["nodes"] = (0..2000).collect::<Vec<_>>().into();
+        // a node takes 16 bytes here and has 3 vertices: all of them fit
+        assert!(parse(&file(&often, &binary)).is_ok());
+        let part = often["meshes"][0]["primitives"][0].clone();
+        often["meshes"][0]["primitives"] = vec![part; 20].into();
+        let error = parse(&file(&often, &binary)).unwrap_err();
+        assert!(error.contains("vertices"), "{error}");
         assert!(wrong("/bufferViews/1/byteOffset", json!(u64::MAX)).contains("accessor 1"));
     }
 }
