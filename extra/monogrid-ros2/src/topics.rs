@@ -27,8 +27,9 @@ use std::time::{Duration, Instant};
 /// Maps are sent as a whole so often at most. The middleware forgets what it sent before the last
 /// message every six seconds: who comes late then gets one.
 const WHOLE_EVERY: Duration = Duration::from_secs(7);
-/// What is sent of whole maps in a second, bytes: as much as is repaired at the same time.
-const BYTES_PER_SECOND: f64 = 1e6;
+/// What is sent of whole maps in a second, bytes: as much as the middleware sends again when a
+/// listener lacks it (8 fragments of 256 bytes each 10 ms).
+const BYTES_PER_SECOND: f64 = 2e5;
 
 /// A map of one form, which is sent as a whole.
 struct Whole<M: RosMessage> {
