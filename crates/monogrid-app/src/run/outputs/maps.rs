@@ -104,8 +104,10 @@ pub fn write_global(
     let (drawn, (mesh, written)) = rayon::join(draw, rest);
     written?;
     let ((cubes, cut, plan), mesh) = (drawn?, mesh?);
+    // nobody waits for a picture of the surface where nobody waits for one on it
+    let is_waited_for = !surface.views.is_empty();
     let preview = encode_png_rgb(&match &mesh {
-        Some(mesh) if !mesh.colours.is_empty() => {
+        Some(mesh) if is_waited_for && !mesh.colours.is_empty() => {
             render_surface(&mesh.surface, |t, shares| mesh.colour_at(t, shares), path)
         }
         _ => render(&cubes, path, cut, &View::default()),
