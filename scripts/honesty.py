@@ -23,11 +23,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from population import SETTINGS
+
 SIZE = (320, 240)
 WORLDS = ("living-room", "office", "machine-hall", "stairs", "street", "corridor-loop")
 WORK = Path(tempfile.gettempdir()) / "honesty"
-# what is judged is whether there is a map: no map is finer than it must be
-SETTINGS = ["--set", "mapping.quality=fast", "--sensor-model", "none", "--resolution", "0.2", "--threads", "1"]
 
 
 def synth(program, name, *options):

@@ -244,9 +244,9 @@ mod tests {
         let ahead = after.map_from_base * on_a_mast() * Vec3::zeros();
         let expected = Vec3::new(2.0 * 0.1_f64.cos(), 0.0, 2.0 * 0.1_f64.sin());
         assert!((ahead - expected).norm() < 1e-9, "{ahead}");
-        // what was told counts more than what was measured
+        // what was given counts more than what was measured
         assert_eq!(
-            frame_of_map(&mapper_from_world, Some(Scale::told(3.0))).scale,
+            frame_of_map(&mapper_from_world, Some(Scale::given(3.0))).scale,
             3.0
         );
         assert_eq!(frame_of_map(&mapper_from_world, None), mapper_from_world);

@@ -75,7 +75,7 @@ impl Maps {
     #[must_use]
     pub fn new(args: Args, map_from_world: Sim3, topics: MapTopics, counts: Arc<Counts>) -> Self {
         Self {
-            scale: args.metres_per_unit.map(Scale::told),
+            scale: args.metres_per_unit.map(Scale::given),
             args,
             map_from_world,
             topics,
@@ -187,13 +187,13 @@ impl Maps {
         frame_of_map(mapper_from_world, self.scale)
     }
 
-    /// Metres of a unit of the world, where somebody has told it, or wheels, or an inertial sensor,
+    /// Metres of a unit of the world, where somebody gave it, or wheels, or an inertial sensor,
     /// which changes the scale of the frame.
     fn metres_per_unit(&self) -> Option<f64> {
         let sensed = self.frame_of_mapper().scale;
         let is_sensed = sensed != self.map_from_world.scale;
-        let told = self.scale.map(|scale| scale.metres_per_unit);
-        told.or(is_sensed.then_some(sensed))
+        let known = self.scale.map(|scale| scale.metres_per_unit);
+        known.or(is_sensed.then_some(sensed))
     }
 
     /// Publishes what somebody wants of the newest map.

@@ -103,7 +103,7 @@ impl PosePublisher {
         usize::from(is_unsent) + self.publish_map(stamp, &poses.map_from_odom(), Some(moved))
     }
 
-    /// Publishes where odometry begins in the map, and where the base is, if that is told here.
+    /// Publishes where odometry begins in the map, and where the base is, if that is given.
     fn publish_map(
         &self,
         stamp: Time,
@@ -134,7 +134,7 @@ const FIRST_DEVIATIONS: [f64; 2] = [0.01, 0.005];
 /// m/s and rad/s.
 const VELOCITY_DEVIATIONS: [f64; 2] = [0.1, 0.05];
 
-/// What filters that fuse odometry are told of its error after so many metres and radians. Without
+/// The error of odometry for filters that fuse it, after so many metres and radians. Without
 /// a scale nothing is known of lengths.
 fn deviations(moved: [f64; 2], is_metric: bool) -> OdometryDeviations {
     let of = |axis: usize| FIRST_DEVIATIONS[axis] + DRIFT[axis] * moved[axis];
@@ -207,7 +207,7 @@ impl Tracking {
         publisher: PosePublisher,
         news: SyncSender<News>,
     ) -> Self {
-        let told = args.metres_per_unit.map(Scale::told);
+        let told = args.metres_per_unit.map(Scale::given);
         let map_from_world = frame_of_map(&settings.map_from_world, told);
         let base_from_camera = args.frames.mount();
         let beside = args.frames.odometry.as_ref().map(|_| Beside {
@@ -448,7 +448,7 @@ impl Tracking {
             .beside
             .as_ref()
             .and_then(|beside| beside.wheels.scale());
-        self.told_metres_per_unit.map(Scale::told).or(wheels)
+        self.told_metres_per_unit.map(Scale::given).or(wheels)
     }
 
     /// Whether lengths are metres: an inertial sensor changes the scale of the mapper's frame.

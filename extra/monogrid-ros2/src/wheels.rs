@@ -28,14 +28,14 @@ const CHANGE: f64 = 0.01;
 pub struct Scale {
     /// Metres of a unit.
     pub metres_per_unit: f64,
-    /// Standard error, relative; `None` where somebody has told the scale.
+    /// Standard error, relative; `None` where somebody gave the scale.
     pub deviation: Option<f64>,
 }
 
 impl Scale {
-    /// As somebody has told it.
+    /// As somebody gave it.
     #[must_use]
-    pub fn told(metres_per_unit: f64) -> Self {
+    pub fn given(metres_per_unit: f64) -> Self {
         Self {
             metres_per_unit,
             deviation: None,

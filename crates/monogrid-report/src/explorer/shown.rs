@@ -36,7 +36,7 @@ pub struct ShownKeyframe<'a> {
 }
 
 impl<'a> ShownKeyframe<'a> {
-    /// The same for a surface that it sees.
+    /// As a view of a surface.
     pub fn view(&self) -> SurfaceView<'a> {
         SurfaceView {
             id: self.semi_dense.id(),

@@ -113,7 +113,7 @@ impl Plan<'_> {
         encode_png_rgb(&picture)
     }
 
-    /// The same as SVG, with lines and text that stay sharp.
+    /// The picture as SVG, whose lines and text stay sharp.
     pub fn svg(&self) -> String {
         let cells = self.cells();
         let scale = cells.scale();

@@ -57,7 +57,7 @@ pub fn diagnostics(
     let (mut level, mut message) = (condition.level(), condition.message());
     if level == OK && !is_metric {
         level = WARN;
-        message += "; scale unknown: lengths are not metres";
+        message += &format!("; scale {NOT_METRIC}");
     }
     DiagnosticArray {
         header,
