@@ -79,6 +79,15 @@ impl FrameGeometry {
         [0, 3, 6].map(|row| m[row] * x + m[row + 1] * y + m[row + 2])
     }
 
+    /// Where keyframe pixel `(x, y)` at inverse depth `idepth` lies in the frame, px; `None` where
+    /// it is not in front of it.
+    #[inline]
+    pub(crate) fn project(&self, x: f32, y: f32, idepth: f32) -> Option<[f32; 2]> {
+        let a = self.at_infinity(x, y);
+        let h: [f32; 3] = std::array::from_fn(|i| a[i] + idepth * self.translation[i]);
+        (h[2] > MIN_INFINITY_Z).then(|| [h[0] / h[2], h[1] / h[2]])
+    }
+
     /// `alpha²` of keyframe pixel `(x, y)` at inverse depth `idepth`: the square of
     /// [`EpipolarLine::alpha`] without setting up the line.
     #[inline]

@@ -147,6 +147,8 @@ pub struct DepthMap {
     pub(crate) noise_var: f32,
     /// Whether `noise_var` comes from observations.
     pub(crate) noise_measured: bool,
+    /// Whether a depth camera or a stereo pair measured some of it.
+    pub(crate) is_measured: bool,
     /// Nearest inverse depth that a pixel without neighbours is searched for, 1/u.
     pub(crate) near_limit: f32,
 }
@@ -165,6 +167,7 @@ impl DepthMap {
             smooth_var: vec![0.0; len],
             noise_var: 2.0 * config.sensor_sigma * config.sensor_sigma,
             noise_measured: false,
+            is_measured: false,
             near_limit: config.max_idepth,
         }
     }

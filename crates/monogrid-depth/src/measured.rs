@@ -4,7 +4,7 @@
 use crate::DepthPixel;
 use crate::map::{DepthMap, Hypothesis};
 use monogrid_geometry::{Pinhole, Se3, Vec2};
-use monogrid_image::{GrayImage, Image};
+use monogrid_image::{GrayImage, Image, Mask};
 
 /// Pixels this near to an edge of depth are not used: colours and depth of an edge are a pixel or
 /// two apart, by registration and because the two cameras do not see at the same time.
@@ -12,6 +12,11 @@ const EDGE_RADIUS: usize = 2;
 /// Depths within that radius of a pixel belong to one surface when the farthest is at most this
 /// much above the nearest: a surface that is seen under 5 degrees at a focal length of 500 px.
 const SAME_SURFACE_RATIO: f32 = 1.08;
+/// A surface has moved where another was seen at this multiple of its depth: errors of the pose and
+/// of matches at edges stay below it.
+const MOVED_RATIO: f32 = 1.15;
+/// The same in standard deviations of one measurement.
+const MOVED_SIGMAS: f32 = 6.0;
 /// How much larger the standard deviation of a pixel beside an edge is.
 const EDGE_FACTOR: f32 = 10.0;
 /// Confirmation of what was measured: as that of many observations.
@@ -25,7 +30,8 @@ const SAME_DEPTH_SIGMAS: f32 = 3.0;
 /// disparities: the inverse depth has the same one everywhere.
 #[derive(Clone, Debug)]
 pub struct MeasuredDepth {
-    /// 1/m, 0 where nothing was measured; negative beside an edge of depth.
+    /// 1/m, 0 where nothing was measured; negative beside an edge of depth; NaN where something
+    /// moves.
     idepth: GrayImage,
     /// Standard deviation of all of it, 1/m.
     sigma: f32,
@@ -67,7 +73,8 @@ impl MeasuredDepth {
         Self { idepth, sigma }
     }
 
-    /// Inverse depths, 1/m, 0 where nothing was measured, negative beside an edge of depth.
+    /// Inverse depths, 1/m, 0 where nothing was measured, negative beside an edge of depth, NaN
+    /// where something moves.
     #[must_use]
     pub fn idepth(&self) -> &GrayImage {
         &self.idepth
@@ -110,6 +117,36 @@ impl MeasuredDepth {
             y: (index / width) as u16,
             idepth: idepth * unit,
             idepth_var: (self.sigma * unit).powi(2),
+        })
+    }
+
+    /// Leaves out what stands where something farther away was seen before: it has moved there.
+    pub fn leave_out_moving(&mut self, before: &Self) {
+        if before.size() != self.size() {
+            return;
+        }
+        let noise = MOVED_SIGMAS * self.sigma;
+        let all = self.idepth.as_mut_slice().iter_mut();
+        for (now, then) in all.zip(before.idepth.as_slice()) {
+            let limit = (MOVED_RATIO * then.abs()).max(then.abs() + noise);
+            if *then != 0.0 && now.abs() > limit {
+                *now = f32::NAN;
+            }
+        }
+    }
+
+    /// The pixels of `mask` without those where something moves.
+    #[must_use]
+    pub fn still(&self, mask: &Mask) -> Mask {
+        if !mask.same_size(&self.idepth) {
+            return mask.clone();
+        }
+        Image::from_fn(mask.width(), mask.height(), |x, y| {
+            if self.idepth.at(x, y).is_nan() {
+                0
+            } else {
+                mask.at(x, y)
+            }
         })
     }
 
@@ -176,6 +213,7 @@ impl DepthMap {
             return 0;
         }
         let candidates: Vec<_> = self.all_candidates().collect();
+        self.is_measured = true;
         let mut num_measured = 0;
         for (x, y, i) in candidates {
             let known = (self.arrays.idepth[i], self.arrays.var[i]);
@@ -223,7 +261,6 @@ mod tests {
     use super::*;
     use crate::{DepthConfig, HostFrame, PixelFilter};
     use monogrid_geometry::{Rotation, Vec3};
-    use monogrid_image::Mask;
     use std::sync::Arc;
 
     const PINHOLE: Pinhole = Pinhole {
@@ -310,6 +347,31 @@ mod tests {
         let noisy = GrayImage::from_fn(64, 48, |x, _| if x < 20 { 5.0 } else { 5.5 });
         assert!(MeasuredDepth::new(&noisy, 0.002).at(20, 5).is_none());
         assert!(MeasuredDepth::new(&noisy, 0.004).at(20, 5).is_some());
+    }
+
+    #[test]
+    fn what_stands_before_a_surface_that_was_seen_moves() {
+        // 0.5 and 0.58 /m: 1.16 times nearer, and 8 standard deviations of 0.01
+        let seen = |depth: fn(usize) -> f32, sigma| {
+            MeasuredDepth::new(&GrayImage::from_fn(64, 48, |x, _| depth(x / 16)), sigma)
+        };
+        let before = seen(|part| [2.0, 2.0, f32::NAN, 1.0][part], 0.01);
+        let now = |sigma| {
+            let mut now = seen(|part| [2.0, 1.0 / 0.58, 1.0, 2.0][part], sigma);
+            now.leave_out_moving(&before);
+            now
+        };
+        let mask = Mask::from_fn(64, 48, |_, y| if y < 4 { 0 } else { 255 });
+        let still = now(0.01).still(&mask);
+        let at = |x| (now(0.01).at(x, 20).is_some(), still.at(x, 20));
+        // the same, nearer, unknown before, farther
+        let parts = [8, 24, 40, 56].map(at);
+        assert_eq!(parts, [(true, 255), (false, 0), (true, 255), (true, 255)]);
+        assert_eq!(still.at(8, 3), 0);
+        assert!(now(0.014).at(24, 20).is_some());
+        let mut map = stripes();
+        map.fuse_measured(&now(0.01), 1.0);
+        assert!(map.at(24, 20).is_none() && map.at(40, 20).is_some());
     }
 
     #[test]

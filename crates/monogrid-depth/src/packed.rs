@@ -25,6 +25,7 @@ pub struct PackedDepth {
     pixels: Vec<PackedPixel>,
     noise_var: f32,
     noise_measured: bool,
+    is_measured: bool,
     near_limit: f32,
 }
 
@@ -74,6 +75,7 @@ impl DepthMap {
             pixels,
             noise_var: self.noise_var,
             noise_measured: self.noise_measured,
+            is_measured: self.is_measured,
             near_limit: self.near_limit,
         }
     }
@@ -102,6 +104,7 @@ impl DepthMap {
         }
         depth.noise_var = packed.noise_var;
         depth.noise_measured = packed.noise_measured;
+        depth.is_measured = packed.is_measured;
         depth.near_limit = packed.near_limit;
         depth
     }

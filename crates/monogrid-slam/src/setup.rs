@@ -109,6 +109,15 @@ impl Setup {
         HostFrame::new(image, self.mask.clone(), self.pinhole).map(Arc::new)
     }
 
+    /// A frame as depth needs it: without what is known to move in it.
+    pub(crate) fn host_of(&self, frame: &Frame) -> Option<Arc<HostFrame>> {
+        let mask = match &frame.measured {
+            Some(measured) => measured.still(&self.mask),
+            None => self.mask.clone(),
+        };
+        HostFrame::new(frame.image().clone(), mask, self.pinhole).map(Arc::new)
+    }
+
     /// How the camera turned from one frame to another by the gyroscope, whose bias does not matter
     /// over so short a time; `other_from_frame`.
     pub(crate) fn turn(&self, frame_ns: i64, other_ns: i64) -> Option<Rotation> {

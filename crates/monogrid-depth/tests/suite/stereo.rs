@@ -2,7 +2,8 @@
 
 use crate::world::{Quality, View, World, frame, host, pinhole_of, quality, sensor};
 use monogrid_depth::{
-    DepthConfig, DepthMap, DepthPixel, ObserveStats, PixelFilter, PixelOutcome, StereoFrame,
+    DepthConfig, DepthMap, DepthPixel, MeasuredDepth, ObserveStats, PixelFilter, PixelOutcome,
+    StereoFrame,
 };
 use monogrid_geometry::{Rotation, Se3, Vec3};
 use monogrid_image::GrayImage;
@@ -225,4 +226,39 @@ fn an_observation_chooses_the_longer_baseline_that_still_sees_the_pixel() {
     };
     let (short, both) = (run(&[0]), run(&[0, 1]));
     assert!(both.precise > short.precise + 0.05, "{short:?} {both:?}");
+}
+
+#[test]
+fn measured_depth_of_what_moves_is_dropped_and_of_what_stands_still_stays() {
+    let motion = Se3::new(Rotation::identity(), Vec3::new(0.001, 0.0, 0.0));
+    let pair = pair(motion, 1.5);
+    let config = DepthConfig::default();
+    let known = |map: &DepthMap| {
+        let is_right = |pixel: &DepthPixel| usize::from(pixel.x) >= SIZE.0 / 2;
+        let right = pixels(map).iter().filter(|p| is_right(p)).count();
+        [map.num_known() - right, right]
+    };
+    // what is to be seen on the right goes on by two pixels a frame
+    let observed = |mut map: DepthMap| {
+        let before = known(&map);
+        for k in 1..=10 {
+            let image = GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| {
+                let moved = if x < SIZE.0 / 2 { 0 } else { 2 * k };
+                pair.image.at((x + moved).min(SIZE.0 - 1), y)
+            });
+            map.observe(&[frame(&image, motion)], &config);
+        }
+        let after = known(&map);
+        [0, 1].map(|half| after[half] as f32 / before[half] as f32)
+    };
+    let mut measured = pair.empty_map(&config);
+    let depth = MeasuredDepth::new(&pair.keyframe.depth, 0.002);
+    measured.fuse_measured(&depth, 1.0);
+    let [still, moving] = observed(measured);
+    assert!(still > 0.98 && moving < 0.5, "{still} {moving}");
+    // other depth is doubted where a search fails alone
+    let mut given = pair.empty_map(&config);
+    given.initialize_from_depth(&pair.keyframe.depth, 0.002);
+    let [still, moving] = observed(given);
+    assert!(still > 0.98 && moving > 0.9, "{still} {moving}");
 }

@@ -132,6 +132,11 @@ impl Slam {
     fn change_keyframe(&mut self, frame: &Frame, alignment: &Alignment) -> KeyframeChange {
         self.await_graph();
         let motion = &alignment.motion;
+        let Some(id) = self.tracker.active.as_ref().map(|active| active.id) else {
+            return KeyframeChange::default();
+        };
+        let pose = &motion.frame_from_keyframe;
+        let frame = &frame.without_moving(&self.map, id, pose, self.setup.pinhole);
         let next = InUse::of(&self.tracker, &self.depth).map_or(NextKeyframe::None, |in_use| {
             NextKeyframe::choose(&self.setup, &self.map, in_use, frame, motion)
         });

@@ -147,7 +147,7 @@ pub(super) fn successor(
     motion: &Motion,
 ) -> Option<Successor> {
     let config = &setup.config.depth;
-    let next = || Some(DepthMap::empty(setup.host(frame.image().clone())?, config));
+    let next = || Some(DepthMap::empty(setup.host_of(frame)?, config));
     let mut depth = propagate(depth, next, &motion.frame_from_keyframe, config)?;
     if let (Some(measured), Some(metres)) = (&frame.measured, metres) {
         depth.fuse_measured(measured, metres as f32);

@@ -24,7 +24,14 @@ pub(super) fn adjust_points(setup: &Setup, map: &mut Map, depth: &DepthMap) {
     let seen: Vec<Vec2> = inliers.map(|(_, pixel)| *pixel).collect();
     map.register(registration);
 
-    let anchored = anchor(map, depth, &seen, &setup.pinhole, &setup.mask, config);
+    let anchored = anchor(
+        map,
+        depth,
+        &seen,
+        &setup.pinhole,
+        &depth.host().mask,
+        config,
+    );
     map.anchor(anchored);
 
     map.adjust(adjust_window(map, &setup.pinhole, config));
