@@ -1570,6 +1570,90 @@ def ply_of_long_lists(folder):
     return mesh(folder, "a.ply", head + struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0) + struct.pack("<I", 2**32 - 1) + bytes(900_000))
 
 
+# no truth is made of it
+SHOWN = MESHES[2:4]
+
+
+def glb(folder, json, binary):
+    text = json.encode() + b" " * (-len(json) % 4)
+    binary += b"\0" * (-len(binary) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    return mesh(folder, "a.glb", b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks)
+
+
+def glb_of(parts, nodes, accessors, lengths, more=""):
+    views, start = [], 0
+    for length in lengths:
+        views.append('{"byteOffset":%d,"byteLength":%d}' % (start, length))
+        start += length
+    return '{"scenes":[{"nodes":[%s]}],"nodes":[%s],"meshes":[{"primitives":[%s]}],"accessors":[%s],"bufferViews":[%s]%s}' % (
+        ",".join(str(n) for n in range(nodes)), ",".join(['{"mesh":0}'] * nodes), ",".join(parts), ",".join(accessors), ",".join(views), more)
+
+
+def accessor(view, kind, count, shape):
+    return '{"bufferView":%d,"componentType":%d,"count":%d,"type":"%s"}' % (view, kind, count, shape)
+
+
+CORNERS = struct.pack("<9f", 0, 0, 0, 20, 0, 0, 0, 20, 5)
+
+
+@bomb(*SHOWN)
+def glb_of_the_same_corners(folder):
+    parts = ['{"attributes":{"POSITION":0},"indices":1}'] * 4000
+    accessors = [accessor(0, 5126, 3, "VEC3"), accessor(1, 5121, 600_000, "SCALAR")]
+    return glb(folder, glb_of(parts, 4000, accessors, [36, 600_000]), CORNERS + b"\0\1\2" * 200_000)
+
+
+@bomb(*SHOWN)
+def glb_of_the_same_colours(folder):
+    parts = ['{"attributes":{"POSITION":0,"COLOR_0":1}}'] * 4000
+    accessors = [accessor(0, 5126, 3, "VEC3"), accessor(1, 5121, 150_000, "VEC4")]
+    return glb(folder, glb_of(parts, 4000, accessors, [36, 600_000]), CORNERS + bytes(600_000))
+
+
+@bomb(*SHOWN)
+def glb_of_the_same_places(folder):
+    parts = ['{"attributes":{"POSITION":0}}'] * 30
+    corners = b"".join(struct.pack("<3f", n * 7 % 31, n * 11 % 29, n * 13 % 23) for n in range(30_000))
+    return glb(folder, glb_of(parts, 4000, [accessor(0, 5126, 30_000, "VEC3")], [len(corners)]), corners)
+
+
+@bomb(*SHOWN)
+def glb_of_numbers_within_each_other(folder):
+    # a stride of one byte for values of twelve is not allowed; a number of one byte is a corner
+    parts = ['{"attributes":{"POSITION":0},"indices":1}']
+    accessors = [accessor(0, 5121, 300_000, "VEC3"), accessor(1, 5121, 990_000, "SCALAR")]
+    return glb(folder, glb_of(parts, 1, accessors, [990_000]).replace('"bufferView":1', '"bufferView":0'), bytes(n % 251 for n in range(990_000)))
+
+
+@bomb(*SHOWN)
+def glb_of_a_chain(folder):
+    nodes = ",".join('{"children":[%d],"translation":[1e30,1e30,0]}' % (n + 1) for n in range(18_000))
+    return glb(folder, '{"scenes":[{"nodes":[0]}],"nodes":[%s]}' % nodes, b"")
+
+
+@bomb(*SHOWN)
+def glb_in_itself(folder):
+    return glb(folder, '{"nodes":' + "[" * 900_000, b"")
+
+
+@bomb(*SHOWN)
+def glb_of_large_pictures(folder):
+    picture = jpeg(4000, 4000)
+    count = 30
+    parts = ['{"attributes":{"POSITION":0,"TEXCOORD_0":1},"material":0}'] * count
+    accessors = [accessor(0, 5126, 3, "VEC3"), accessor(0, 5126, 3, "VEC2")]
+    more = ',"materials":[{"pbrMetallicRoughness":{"baseColorTexture":{"index":0}}}],"textures":[{"source":0}],"images":[{"bufferView":1}]'
+    return glb(folder, glb_of(parts, 1, accessors, [36, len(picture)], more), CORNERS + picture)
+
+
+@bomb(*SHOWN)
+def glb_far_away(folder):
+    parts = ['{"attributes":{"POSITION":0}}']
+    corners = b"".join(struct.pack("<3f", n * 7 % 31 * 1e36, n * 11 % 29 * 1e36, n * 13 % 23 * 1e36) for n in range(30_000))
+    return glb(folder, glb_of(parts, 1, [accessor(0, 5126, 30_000, "VEC3")], [len(corners)]), corners)
+
+
 @bomb(*MESHES)
 def pcd_of_billions(folder):
     return mesh(folder, "a.pcd", "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 4000000000\nHEIGHT 1\nPOINTS 4000000000\n"

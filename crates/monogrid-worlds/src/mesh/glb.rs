@@ -16,6 +16,9 @@ const MAX_PIXELS: usize = 1 << 24;
 /// Pictures that are decoded at most: beyond them there are the colours of vertices and materials.
 const MAX_PICTURES: usize = 16;
 
+/// Values that parts may read for each byte of the file: they may read the same ones.
+const VALUES_PER_BYTE: usize = 4;
+
 /// From y up to z up.
 const Z_UP: Matrix4<f32> = Matrix4::new(
     1.0, 0.0, 0.0, 0.0, //
@@ -39,7 +42,7 @@ fn parse(bytes: &[u8]) -> Result<MeshModel, String> {
     let mut scene = Scene {
         json: &json,
         binary,
-        max_vertices: bytes.len(),
+        values_left: VALUES_PER_BYTE * bytes.len(),
         visited: BTreeSet::new(),
         pictures_left: MAX_PICTURES,
         model: MeshModel::default(),
@@ -84,8 +87,8 @@ fn floats<const N: usize>(list: &Value) -> Option<[f32; N]> {
 struct Scene<'a> {
     json: &'a Value,
     binary: &'a [u8],
-    /// A mesh may be in a scene many times: no more vertices than the file has bytes.
-    max_vertices: usize,
+    /// A mesh may be in a scene many times, and values in many meshes.
+    values_left: usize,
     /// A scene is a tree.
     visited: BTreeSet<usize>,
     pictures_left: usize,
@@ -121,9 +124,6 @@ impl Scene<'_> {
         let attributes = &part["attributes"];
         let places = self.accessor(&attributes["POSITION"])?;
         let first = self.model.mesh.vertices.len();
-        if first + places.len() > self.max_vertices {
-            return Err(format!("more than {} vertices", self.max_vertices));
-        }
         let material = part["material"].as_u64().unwrap_or(u64::MAX) as usize;
         let material = &self.json["materials"][material]["pbrMetallicRoughness"];
         let factor = floats::<4>(&material["baseColorFactor"]).unwrap_or([1.0; 4]);
@@ -189,9 +189,12 @@ impl Scene<'_> {
     }
 
     /// The values of an accessor, up to four each.
-    fn accessor(&self, number: &Value) -> Result<Vec<[f64; 4]>, String> {
-        self.values(number)
-            .ok_or_else(|| format!("accessor {number} does not lie in the file"))
+    fn accessor(&mut self, number: &Value) -> Result<Vec<[f64; 4]>, String> {
+        let values = self.values(number);
+        let values = values.ok_or_else(|| format!("accessor {number} does not lie in the file"))?;
+        let left = self.values_left.checked_sub(values.len());
+        self.values_left = left.ok_or("the same vertices and triangles too often")?;
+        Ok(values)
     }
 
     fn values(&self, number: &Value) -> Option<Vec<[f64; 4]>> {
@@ -366,10 +369,30 @@ mod tests {
         often["scenes"][0]["nodes"] = (0..2000).collect::<Vec<_>>().into();
         // a node takes 16 bytes here and has 3 vertices: all of them fit
         assert!(parse(&file(&often, &binary)).is_ok());
+        // what is read of a part, beside its three places, may be more than they are
         let part = often["meshes"][0]["primitives"][0].clone();
-        often["meshes"][0]["primitives"] = vec![part; 20].into();
-        let error = parse(&file(&often, &binary)).unwrap_err();
-        assert!(error.contains("vertices"), "{error}");
+        let [mut of_corners, mut of_colours] = [part.clone(), part.clone()];
+        of_corners["indices"] = 2.into();
+        of_colours["attributes"]["COLOR_0"] = 2.into();
+        of_colours.as_object_mut().unwrap().remove("indices");
+        let push = |often: &mut Value, list: &str, value: Value| {
+            often[list].as_array_mut().unwrap().push(value);
+        };
+        push(
+            &mut often,
+            "bufferViews",
+            json!({ "byteOffset": 40, "byteLength": 3000 }),
+        );
+        let values =
+            json!({ "bufferView": 2, "componentType": 5121, "count": 3000, "type": "SCALAR" });
+        push(&mut often, "accessors", values);
+        let much = [binary.as_slice(), &[0; 3000]].concat();
+        for (part, count) in [(part.clone(), 20), (of_corners, 1), (of_colours, 1)] {
+            let mut often = often.clone();
+            often["meshes"][0]["primitives"] = vec![part; count].into();
+            let error = parse(&file(&often, &much)).unwrap_err();
+            assert!(error.contains("too often"), "{error}");
+        }
         assert!(wrong("/bufferViews/1/byteOffset", json!(u64::MAX)).contains("accessor 1"));
     }
 }
