@@ -68,6 +68,7 @@ pub use submap::{
     SubmapEntry, SubmapId, SubmapInfo, SubmapPose, SubmapReader, SubmapTable, is_submap,
     is_submap_table, submap_table_in,
 };
+pub use text::read_text;
 pub use timestamp::{format_seconds, parse_seconds};
 pub(crate) use trajectory::pose_from_numbers;
 pub use trajectory::{

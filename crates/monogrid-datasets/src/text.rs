@@ -6,8 +6,11 @@ use std::path::Path;
 /// Largest text file that is read: far beyond any list of frames or poses.
 const MAX_TEXT_BYTES: u64 = 1 << 28;
 
-/// The whole file as text; invalid UTF-8 is replaced (comments may be in any encoding).
-pub(crate) fn read_text(path: &Path) -> Result<String, DatasetError> {
+/// The text of a regular file; invalid UTF-8 is replaced (comments may be in any encoding).
+///
+/// # Errors
+/// When it cannot be read, is a folder, pipe or device, or holds more than 256 MB.
+pub fn read_text(path: &Path) -> Result<String, DatasetError> {
     let bytes = read_file(path, MAX_TEXT_BYTES)?;
     let text = String::from_utf8_lossy(&bytes);
     Ok(text.strip_prefix('\u{feff}').unwrap_or(&text).to_owned())

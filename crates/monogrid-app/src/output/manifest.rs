@@ -6,6 +6,7 @@
 //! killed leaves no file that is not listed. A file that is written with the folder and lies
 //! outside of it (`--mcap`) has its whole path for a name.
 
+use monogrid_datasets::open_file;
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
@@ -186,10 +187,10 @@ fn parse_line(line: &str) -> Option<(&str, (Digest, Content))> {
 impl Digest {
     /// Whether it is that of a file, or of what the file begins with.
     fn is_of(self, content: Content, path: &Path) -> bool {
-        let Ok(file) = File::open(path) else {
+        // opening a pipe would wait for a writer
+        let Ok((file, len)) = open_file(path) else {
             return false;
         };
-        let len = file.metadata().map_or(0, |metadata| metadata.len());
         let may_be = match content {
             Content::Whole => len == self.len,
             Content::Begins => len >= self.len,

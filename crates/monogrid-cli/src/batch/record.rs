@@ -4,6 +4,7 @@ use super::class::Class;
 use super::digest::{InputRecord, OutputRecord};
 use super::metrics::Metrics;
 use super::task::Task;
+use monogrid_datasets::read_text;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -89,7 +90,7 @@ impl TaskRecord {
 
     /// The record in a folder; none where there is none, or one that is not understood.
     pub fn read(folder: &Path) -> Option<Self> {
-        let text = std::fs::read_to_string(folder.join(TASK_FILE)).ok()?;
+        let text = read_text(&folder.join(TASK_FILE)).ok()?;
         Self::parse(&text)
     }
 

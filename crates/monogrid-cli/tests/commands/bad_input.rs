@@ -70,6 +70,8 @@ fn help_exists_for_every_command_and_names_nothing_that_is_missing() {
 
 #[test]
 fn missing_and_empty_sources() {
+    let output = monogrid(["check", "/dev/zero"]);
+    assert_fails(&output, 2, &["/dev/zero", "device", "expected a video"]);
     let dir = tempfile::tempdir().unwrap();
     let missing = dir.path().join("nowhere");
     assert_fails(&run(&missing, &out_in(&dir), &[]), 2, &["nowhere"]);

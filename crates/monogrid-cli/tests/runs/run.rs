@@ -18,7 +18,7 @@ use monogrid_worlds::{
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Output, Stdio};
+use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 fn run(source: &Path, out: &Path, more: &[&str]) -> Output {
@@ -556,6 +556,29 @@ fn colour_of_the_source_is_kept_and_shown() {
     };
     let first = colours(&out);
     assert_eq!(first, colours(&metric));
+    // a pipe in place of a table would be waited for
+    for name in ["trajectory.txt", "summary.json"] {
+        let (path, aside) = (out.join(name), out.join("aside"));
+        fs::rename(&path, &aside).unwrap();
+        assert!(
+            Command::new("mkfifo")
+                .arg(&path)
+                .status()
+                .unwrap()
+                .success()
+        );
+        let again = dir.path().join("again").display().to_string();
+        let output = monogrid([
+            "rescale",
+            &earlier,
+            "--scale-from",
+            "factor=2",
+            "--out",
+            &again,
+        ]);
+        assert_fails(&output, 2, &[name, "pipe"]);
+        fs::rename(&aside, &path).unwrap();
+    }
     // the report is written again, in metres
     let html = fs::read_to_string(metric.join("report.html")).unwrap();
     let again: serde_json::Value = serde_json::from_str(block(&html, "id=\"scene\">")).unwrap();

@@ -8,6 +8,9 @@ use crate::{Calibration, DatasetError};
 use monogrid_geometry::{Camera, Distortion, Rotation, Se3, Vec3};
 use std::path::Path;
 
+/// How far the cameras of a pair are from each other, m.
+const BASELINE_M: std::ops::RangeInclusive<f64> = 0.001..=1000.0;
+
 /// The second camera of a stereo pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SecondCamera {
@@ -31,10 +34,25 @@ impl SecondCamera {
         let [first, second] = files.map(|path| Calibration::read_for(path, images));
         let (first, second) = (first?, second?);
         let places = first.body_from_camera.zip(second.body_from_camera);
-        Ok(places.map(|(body_from_first, body_from_second)| Self {
+        let found = places.map(|(body_from_first, body_from_second)| Self {
             camera: second.camera,
             second_from_first: body_from_second.inverse() * body_from_first,
-        }))
+        });
+        found.map(|found| found.check(files[1])).transpose()
+    }
+
+    fn check(self, path: &Path) -> Result<Self, DatasetError> {
+        let refused = |reason: String| DatasetError::calibration(path, reason);
+        let valid = self.camera.validate();
+        valid.map_err(|error| refused(format!("the second camera: {error}")))?;
+        let metres = self.second_from_first.translation.norm();
+        if BASELINE_M.contains(&metres) {
+            return Ok(self);
+        }
+        let [least, most] = [BASELINE_M.start(), BASELINE_M.end()];
+        Err(refused(format!(
+            "the cameras of the pair are {metres:e} m from each other, expected {least} to {most}"
+        )))
     }
 
     /// By one file for both cameras: Kalibr's chain, or KITTI's projection matrices of the cameras
@@ -47,7 +65,8 @@ impl SecondCamera {
     ) -> Result<Option<Self>, DatasetError> {
         let text = read_text(path)?;
         let chained = of_chain(&text, path, image_size)?;
-        Ok(chained.or_else(|| of_projections(&text, numbers, image_size)))
+        let found = chained.or_else(|| of_projections(&text, numbers, image_size));
+        found.map(|found| found.check(path)).transpose()
     }
 }
 

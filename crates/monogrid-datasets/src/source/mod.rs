@@ -153,6 +153,14 @@ impl Dataset {
         if metadata.is_file() {
             return list::open_list(path, options);
         }
+        if !metadata.is_dir() {
+            let expected = "a video, a folder of images, a list of them or an archive";
+            return Err(DatasetError::content(
+                path,
+                "a pipe, socket or device",
+                expected,
+            ));
+        }
         Self::open_folder(path, options)
     }
 

@@ -127,6 +127,29 @@ fn a_chain_of_kalibr_says_how_the_second_camera_sees_the_first() {
 }
 
 #[test]
+fn cameras_that_are_no_pair_are_refused() {
+    let root = tempfile::tempdir().expect("folder");
+    let root = root.path();
+    images(&root.join("image_0"), &["000000.png"]);
+    images(&root.join("image_1"), &["000000.png"]);
+    file(&root.join("times.txt"), "0.0\n");
+    for (focal, offset, said) in [
+        ("7", "0", "0e0 m from each other, expected 0.001 to 1000"),
+        ("7", "nan", "NaN m"),
+        ("7", "1e308", "m from each other"),
+        ("7", "-1e-3", "m from each other"),
+        ("0", "-3", "the second camera: focal length"),
+        ("-7", "-3", "the second camera: focal length"),
+    ] {
+        let matrices =
+            format!("P0: 7 0 4 0 0 7 3 0 0 0 1 0\nP1: {focal} 0 4.5 {offset} 0 7 3 0 0 0 1 0\n");
+        file(&root.join("calib.txt"), matrices);
+        let error = open(root).second_camera(None, (8, 6)).unwrap_err();
+        assert!(error.to_string().contains(said), "{offset}: {error}");
+    }
+}
+
+#[test]
 fn one_camera_is_no_pair() {
     let root = tempfile::tempdir().expect("folder");
     images(&root.path().join("image_0"), &["000000.png", "000001.png"]);

@@ -321,6 +321,30 @@ mod tests {
     }
 
     #[test]
+    fn files_without_an_end_are_not_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = |name: &str| {
+            let path = folder.path().join(name);
+            let made = std::process::Command::new("mkfifo").arg(&path).status();
+            assert!(made.unwrap().success());
+            path
+        };
+        for name in ["a.obj", "a.ply", "a.pcd", "a.glb"] {
+            let error = MeshModel::read(&pipe(name)).unwrap_err().to_string();
+            assert!(error.contains("pipe"), "{error}");
+        }
+        // a library of materials that cannot be is as good as none
+        pipe("pipe.mtl");
+        for library in ["pipe.mtl", "/dev/zero"] {
+            let path = folder.path().join("b.obj");
+            let text = format!("mtllib {library}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+            std::fs::write(&path, text).unwrap();
+            let mesh = MeshModel::read(&path).unwrap().mesh;
+            assert_eq!(mesh.triangles.len(), 1);
+        }
+    }
+
+    #[test]
     fn a_mesh_whose_triangles_lie_in_one_another_is_no_world() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.obj");

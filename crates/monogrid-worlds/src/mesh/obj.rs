@@ -2,9 +2,13 @@
 
 use super::{MeshModel, UNKNOWN_ALBEDO, luma, textured};
 use crate::scene::Material;
-use monogrid_datasets::{DatasetError, read_gray};
+use monogrid_datasets::{DatasetError, read_file, read_gray};
 use std::path::Path;
 use tobj::{LoadError, LoadOptions, load_mtl_buf, load_obj_buf};
+
+/// Largest mesh, and largest library of materials, that is read.
+const MAX_BYTES: u64 = 1 << 32;
+const MAX_LIBRARY_BYTES: u64 = 1 << 24;
 
 const EXPECTED: &str =
     "an .obj file with faces of finite vertices, and materials, if any, that can be read";
@@ -13,7 +17,7 @@ const EXPECTED: &str =
 pub(super) fn read(path: &Path) -> Result<MeshModel, DatasetError> {
     let folder = path.parent().unwrap_or(Path::new("."));
     let bad = |found: String| DatasetError::content(path, found, EXPECTED);
-    let file = std::fs::read(path).map_err(|e| DatasetError::io("read", path, e))?;
+    let file = read_file(path, MAX_BYTES)?;
     let options = LoadOptions {
         triangulate: true,
         ignore_points: true,
@@ -21,7 +25,8 @@ pub(super) fn read(path: &Path) -> Result<MeshModel, DatasetError> {
         ..LoadOptions::default()
     };
     let library = |name: &Path| {
-        let file = std::fs::read(folder.join(name)).map_err(|_| LoadError::OpenFileFailed)?;
+        let file = read_file(&folder.join(name), MAX_LIBRARY_BYTES);
+        let file = file.map_err(|_| LoadError::OpenFileFailed)?;
         load_mtl_buf(&mut plain_text(&file).as_bytes())
     };
     let text = plain_text(&file);

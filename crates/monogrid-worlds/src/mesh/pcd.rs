@@ -2,8 +2,7 @@
 //! field after field.
 
 use crate::triangle_mesh::TriangleMesh;
-use monogrid_datasets::DatasetError;
-use std::fs::File;
+use monogrid_datasets::{DatasetError, open_file};
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
@@ -172,7 +171,7 @@ fn fields([names, sizes, kinds, counts]: &[Vec<String>; 4]) -> Result<Vec<Field>
 /// Reads the points of a cloud and, where it has colours, their reflectance; and the number of
 /// those without a place, which are left out.
 pub(super) fn read_counted(path: &Path) -> Result<(TriangleMesh, usize), DatasetError> {
-    let file = File::open(path).map_err(|e| DatasetError::io("read", path, e))?;
+    let (file, _) = open_file(path)?;
     read(&mut BufReader::new(file))
         .map_err(|reason| DatasetError::content(path, reason, "a complete PCD file"))
 }

@@ -1,10 +1,9 @@
 //! Stanford `.ply` meshes, ascii and binary, with vertex colours.
 
 use crate::triangle_mesh::TriangleMesh;
-use monogrid_datasets::DatasetError;
+use monogrid_datasets::{DatasetError, open_file};
 use serde::Deserialize;
 use serde_ply::{DeserializeError, PlyReader, PropertyType, ScalarType};
-use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 
@@ -45,7 +44,7 @@ pub fn read_ply(path: &Path) -> Result<TriangleMesh, DatasetError> {
 
 /// As [`read_ply`], and the number of vertices that were left out.
 pub(super) fn read_counted(path: &Path) -> Result<(TriangleMesh, usize), DatasetError> {
-    let file = File::open(path).map_err(|e| DatasetError::io("read", path, e))?;
+    let (file, _) = open_file(path)?;
     read(BufReader::new(file))
         .map_err(|reason| DatasetError::content(path, reason, "a complete PLY file"))
 }

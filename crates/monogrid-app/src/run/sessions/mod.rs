@@ -13,7 +13,7 @@ use crate::process::failure::{Classify, Failure};
 use crate::run::align::{Align, KnownGround};
 use monogrid_datasets::{
     Continuation, FragmentKeyframe, KeyframeLink, RecordedFrame, RecordedSession, SessionInfo,
-    read_sim3,
+    read_sim3, read_text,
 };
 use monogrid_geometry::Pinhole;
 use monogrid_report::colours::Colours;
@@ -136,7 +136,7 @@ pub fn frame_beside(recording: &Path) -> Result<Option<Align>, Failure> {
     if !frame_file.is_file() {
         return Ok(None);
     }
-    let summary = std::fs::read_to_string(folder.join("summary.json")).unwrap_or_default();
+    let summary = read_text(&folder.join("summary.json")).unwrap_or_default();
     let summary: serde_json::Value = serde_json::from_str(&summary).unwrap_or_default();
     let said = |key: &str| summary.get(key)?.as_str().map(str::to_owned);
     let level = |key: &str| serde_json::from_value(summary.get(key)?.clone()).ok();

@@ -7,7 +7,7 @@ use monogrid_app::mapfile;
 use monogrid_app::output::{Inputs, OutputFile, map_at};
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
 use monogrid_app::run::outputs::UNKNOWN_SCALE_WARNING;
-use monogrid_datasets::read_sim3;
+use monogrid_datasets::{read_sim3, read_text};
 use monogrid_evaluation::{PlanConfig, plan_path};
 use monogrid_geometry::Sim3;
 use monogrid_mapping::MeshConfig;
@@ -303,7 +303,7 @@ struct RunBeside {
 impl RunBeside {
     fn of(map: &Path) -> Self {
         let path = map_at(map).with_file_name("summary.json");
-        let text = std::fs::read_to_string(path).unwrap_or_default();
+        let text = read_text(&path).unwrap_or_default();
         let summary: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
         let height = summary["floor"]["camera_height"].as_f64();
         let height = height.filter(|height| height.is_finite() && *height > 0.0);

@@ -10,12 +10,11 @@ pub mod run;
 pub mod view;
 
 use monogrid_app::process::failure::Failure;
-use std::path::Path;
+use monogrid_datasets::DatasetError;
 
 /// A file of a run that cannot be read.
-fn unreadable(path: &Path, error: &std::io::Error) -> Failure {
+fn unreadable(error: &DatasetError) -> Failure {
     Failure::input(format!(
-        "{} cannot be read: {error}; expected the output folder of a finished run",
-        path.display()
+        "{error}; expected the output folder of a finished run"
     ))
 }

@@ -10,7 +10,7 @@ use monogrid_app::process::talk;
 use monogrid_app::recorded::Recorded;
 use monogrid_app::run::align::{Align, Up};
 use monogrid_app::run::sessions::Source;
-use monogrid_datasets::encode_png_rgb;
+use monogrid_datasets::{encode_png_rgb, read_text};
 use monogrid_mapping::MeshConfig;
 use monogrid_occupancy::SurfaceMesh;
 use monogrid_report::Page;
@@ -179,7 +179,7 @@ impl Shown {
             scene,
             cubes,
             surface: None,
-            report: std::fs::read_to_string(report).ok(),
+            report: read_text(&report).ok(),
         };
         shown.scene.cut = dollhouse_cut(&shown.cubes, &shown.path());
         Ok(shown)

@@ -4,6 +4,7 @@ use crate::commands::runs::unreadable;
 use monogrid_app::mapfile;
 use monogrid_app::output::{MAP, OutputFile};
 use monogrid_app::process::failure::{Classify, Failure};
+use monogrid_datasets::open_file;
 use monogrid_occupancy::{SurfaceMesh, VoxelKey, write_colour_ot};
 use monogrid_report::surface::{ColouredMesh, MeshFormat};
 use serde::Deserialize;
@@ -17,6 +18,8 @@ use std::path::Path;
 pub const MESH: &str = "mesh.ply";
 /// Its semi-dense cloud.
 pub const CLOUD: &str = "cloud.ply";
+/// Largest cloud that is copied.
+pub const MAX_CLOUD_BYTES: u64 = 1 << 32;
 /// Its occupied cells with their colours.
 pub const CELLS: &str = "cells.ply";
 /// Steps of coordinates in LAS, map units.
@@ -79,7 +82,7 @@ fn rows<T: DeserializeOwned>(
 }
 
 fn open(path: &Path) -> Result<PlyReader<BufReader<File>>, Failure> {
-    let file = File::open(path).map_err(|error| unreadable(path, &error))?;
+    let (file, _) = open_file(path).map_err(|error| unreadable(&error))?;
     let reader = PlyReader::from_reader(BufReader::new(file));
     reader.map_err(|error| Failure::input(format!("{}: {}", path.display(), error.0)))
 }

@@ -5,12 +5,12 @@
 //! the centre of the top-left pixel is (0.5, 0.5), and poses take points of the camera to the
 //! world.
 
-use super::files::CLOUD;
+use super::files::{CLOUD, MAX_CLOUD_BYTES};
 use super::images::FOLDER;
 use super::reconstruction::{Reconstruction, View};
 use monogrid_app::output::OutputFolder;
 use monogrid_app::process::failure::Failure;
-use monogrid_datasets::RecordedCamera;
+use monogrid_datasets::{RecordedCamera, read_file};
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
@@ -19,7 +19,7 @@ const POINTS: &str = "points.ply";
 
 /// Writes `transforms.json`, and the cloud of the run where there is one.
 pub fn write(folder: &OutputFolder, scene: &Reconstruction, run: &Path) -> Result<(), Failure> {
-    let cloud = std::fs::read(run.join(CLOUD)).ok();
+    let cloud = read_file(&run.join(CLOUD), MAX_CLOUD_BYTES).ok();
     let mut transforms = transforms(scene);
     if let Some(cloud) = cloud {
         folder.write(POINTS, cloud)?;

@@ -4,7 +4,7 @@ use crate::commands::runs::rescale::SUMMARY;
 use monogrid_app::process::failure::Failure;
 use monogrid_app::run::align::Align;
 use monogrid_app::run::sessions::{Earlier, Source};
-use monogrid_datasets::Scale;
+use monogrid_datasets::{Scale, read_text};
 use monogrid_slam::{FragmentId, MAIN_MAP, StoredKeyframe, StoredMap};
 use serde_json::Value;
 use std::cmp::Reverse;
@@ -34,7 +34,7 @@ impl Part {
     fn read(number: usize, path: &Path) -> Result<Self, Failure> {
         let earlier = Earlier::read(path)?;
         let summary = Source::find(path)?.folder_of_run().join(SUMMARY);
-        let summary = std::fs::read_to_string(summary).unwrap_or_default();
+        let summary = read_text(&summary).unwrap_or_default();
         let keyframes = &earlier.map.keyframes;
         let in_main_map = keyframes.iter().filter(|k| k.fragment == MAIN_MAP);
         Ok(Self {

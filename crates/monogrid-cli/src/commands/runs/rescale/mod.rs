@@ -17,8 +17,8 @@ use monogrid_app::run::outputs::{Ground, Surface, path_of, write_global};
 use monogrid_app::run::sessions::{MAP_FROM_WORLD, RECORDING, Source, files_of};
 use monogrid_datasets::{
     ColourRecord, DepthRevision, KeyframeRecord, PoseSnapshot, Record, RecordedCamera,
-    RecordedKeyframe, Recording, RecordingWriter, Scale, SessionInfo, format_sim3, read_sim3,
-    read_trajectory,
+    RecordedKeyframe, Recording, RecordingWriter, Scale, SessionInfo, format_sim3, read_file,
+    read_sim3, read_text, read_trajectory,
 };
 use monogrid_geometry::Sim3;
 use monogrid_report::Page;
@@ -67,6 +67,8 @@ const TABLES: [(&str, Scaler); 6] = [
 pub const SUMMARY: &str = "summary.json";
 /// The semi-dense cloud.
 const CLOUD: &str = "cloud.ply";
+/// Largest cloud that is read.
+const MAX_CLOUD_BYTES: u64 = 1 << 32;
 /// Files without lengths.
 const COPIED: [&str; 3] = ["frames.csv", "calibration.txt", "config.toml"];
 
@@ -134,7 +136,7 @@ pub fn execute(args: &RescaleArgs) -> CommandResult {
 
 fn summary(run: &Path) -> Result<Value, Failure> {
     let path = run.join(SUMMARY);
-    let text = std::fs::read_to_string(&path).map_err(|error| unreadable(&path, &error))?;
+    let text = read_text(&path).map_err(|error| unreadable(&error))?;
     let summary: Option<Value> = serde_json::from_str(&text).ok().filter(Value::is_object);
     summary.ok_or_else(|| Failure::input(format!("{} is damaged", path.display())))
 }
@@ -158,23 +160,28 @@ fn rescaled_summary(mut summary: Value, factor: f64) -> Value {
 }
 
 fn write_tables(run: &Path, folder: &OutputFolder, factor: f64) -> Result<(), Failure> {
-    let read = |name: &str| std::fs::read_to_string(run.join(name)).ok();
+    let read = |name: &str| -> Result<Option<String>, Failure> {
+        let path = run.join(name);
+        path.exists()
+            .then(|| read_text(&path).bad_input())
+            .transpose()
+    };
     for (name, scaled) in TABLES {
-        if let Some(text) = read(name) {
+        if let Some(text) = read(name)? {
             let text = scaled(&text, factor).ok_or_else(|| {
                 Failure::input(format!("{} is damaged", run.join(name).display()))
             })?;
             folder.write(name, text)?;
         }
     }
-    if let Ok(ply) = std::fs::read(run.join(CLOUD)) {
+    if let Ok(ply) = read_file(&run.join(CLOUD), MAX_CLOUD_BYTES) {
         match tables::cloud(&ply, factor) {
             Some(scaled) => folder.write(CLOUD, scaled)?,
             None => eprintln!("warning: {CLOUD} is not of this version and is left out"),
         }
     }
     for name in COPIED {
-        if let Some(text) = read(name) {
+        if let Some(text) = read(name)? {
             folder.write(name, text)?;
         }
     }
