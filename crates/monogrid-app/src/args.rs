@@ -172,7 +172,7 @@ pub struct SourceArgs {
     #[arg(long, value_name = "S", value_parser = source_timeout, help_heading = "Input")]
     pub source_timeout: Option<f64>,
     /// Frame rate of a folder of images without timestamps [default: 30]
-    #[arg(long, value_name = "N", value_parser = positive, help_heading = "Input")]
+    #[arg(long, value_name = "N", value_parser = frame_rate, help_heading = "Input")]
     pub fps: Option<f64>,
     /// Working size of the images [default: about as many pixels as 640x480, or 400x300 with
     /// --profile fast]
@@ -243,6 +243,13 @@ pub fn positive(text: &str) -> Result<f64, String> {
     value.ok_or_else(|| "expected a positive number".into())
 }
 
+/// Frames per second.
+pub fn frame_rate(text: &str) -> Result<f64, String> {
+    let value = text.parse().ok();
+    let value = value.filter(|value| (0.001..=100_000.0).contains(value));
+    value.ok_or_else(|| "expected a frame rate from 0.001 to 100000".into())
+}
+
 fn auto_or_positive(text: &str) -> Result<AutoLength, String> {
     if text == "auto" {
         return Ok(AutoLength::Auto);
@@ -301,6 +308,10 @@ mod tests {
         }
         for bad in ["0", "-1", "nan", "inf", "x"] {
             assert!(positive(bad).is_err(), "{bad}");
+        }
+        assert_eq!(frame_rate("29.97"), Ok(29.97));
+        for bad in ["1e-4", "1e300", "nan", "-30", "x"] {
+            assert!(frame_rate(bad).is_err(), "{bad}");
         }
         assert_eq!(auto_or_positive("auto"), Ok(AutoLength::Auto));
         assert_eq!(auto_or_positive("0.1"), Ok(AutoLength::Fixed(0.1)));

@@ -14,7 +14,10 @@ pub(super) fn open_list(list: &Path, options: SourceOptions) -> Result<Dataset, 
     if extension != "txt" {
         return Err(DatasetError::SourceKind {
             path: list.to_path_buf(),
-            found: format!("a .{extension} file"),
+            found: match extension.is_empty() {
+                true => "a file of no kind that we know".to_owned(),
+                false => format!("a .{extension} file"),
+            },
             expected: "a folder of images, a dataset folder or a .txt list of images",
         });
     }
@@ -34,7 +37,14 @@ pub(super) fn open_list(list: &Path, options: SourceOptions) -> Result<Dataset, 
     if words.next().and_then(parse_seconds).is_some() && words.next().is_some() {
         return tum::open(&root, list, options);
     }
-    let paths = data_lines(&text).map(|(_, line)| root.join(line)).collect();
+    let path = |(number, line): (usize, &str)| match tum::is_path(line) {
+        true => Ok(root.join(line)),
+        false => {
+            let expected = "a time in seconds and the path of an image, or a path";
+            Err(DatasetError::line(list, number, line, expected))
+        }
+    };
+    let paths = data_lines(&text).map(path).collect::<Result<_, _>>()?;
     let mut warnings = Vec::new();
     let entries = timed_at_rate(paths, options, list, &mut warnings)?;
     Dataset::assemble(

@@ -53,6 +53,11 @@ fn assemble(
     )
 }
 
+/// Whether it may be a path: no file has one of more bytes.
+pub(super) fn is_path(text: &str) -> bool {
+    (1..=4096).contains(&text.len())
+}
+
 /// Lines of `timestamp path`; paths are relative to `root` and may contain blanks.
 fn read_list(
     root: &Path,
@@ -66,7 +71,7 @@ fn read_list(
         let (time, path) = first_word(line);
         let path = path.trim();
         match unit.parse(time) {
-            Some(timestamp_ns) if !path.is_empty() => Ok((timestamp_ns, root.join(path))),
+            Some(timestamp_ns) if is_path(path) => Ok((timestamp_ns, root.join(path))),
             _ => {
                 let expected = "a time in seconds and the path of an image";
                 Err(DatasetError::line(list, number, line, expected))

@@ -260,6 +260,19 @@ fn bad_sources_are_explained() {
     fs::write(&video, "").expect("writable");
     let error = open(&video).expect_err("a video").to_string();
     assert!(error.contains(".mp4 file"), "{error}");
+    fs::write(root.path().join("notes"), "").expect("writable");
+    let error = open(&root.path().join("notes")).expect_err("no ending");
+    assert!(
+        error.to_string().contains("no kind that we know"),
+        "{error}"
+    );
+    // a path that no file has would be printed in full
+    for (name, first) in [("long.txt", "1 a"), ("paths.txt", "a")] {
+        let list = root.path().join(name);
+        fs::write(&list, format!("{first}{}\n", "b".repeat(5000))).expect("writable");
+        let error = open(&list).expect_err("too long").to_string();
+        assert!(error.contains(name) && error.len() < 400, "{error}");
+    }
     let list = root.path().join("rgb.txt");
     for (text, part) in [
         ("", "without lines"),

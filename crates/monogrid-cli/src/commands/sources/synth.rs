@@ -4,7 +4,7 @@ use crate::commands::evaluate::truth::{config_for, of_world, positions_along};
 use crate::commands::use_threads;
 use anyhow::Context as _;
 use clap::{Args, ValueEnum};
-use monogrid_app::args::{JsonArg, positive, readout_ms, size};
+use monogrid_app::args::{JsonArg, frame_rate, positive, readout_ms, size};
 use monogrid_app::output::{Inputs, OutputFolder};
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
 use monogrid_app::run::tracking::progress::watched;
@@ -65,7 +65,7 @@ pub struct SynthArgs {
     #[arg(long, value_name = "N", value_parser = frame_count)]
     pub max_frames: Option<usize>,
     /// Frames per second
-    #[arg(long, value_name = "N", value_parser = positive, default_value_t = 30.0)]
+    #[arg(long, value_name = "N", value_parser = frame_rate, default_value_t = 30.0)]
     pub fps: f64,
     /// Size of the images, 65 degrees wide
     #[arg(long, value_name = "WxH", value_parser = size, default_value = "640x480")]
