@@ -49,5 +49,17 @@ mod tests {
         ] {
             assert_eq!(printable(text), shown);
         }
+        // those that turn the direction of writing or end a line, each with what lies around it
+        for range in [
+            0x61c..=0x61c,
+            0x200e..=0x200f,
+            0x2028..=0x202e,
+            0x2066..=0x2069,
+        ] {
+            let around = [range.start() - 1, range.end() + 1];
+            let is_obeyed = |c: u32| is_obeyed(char::from_u32(c).unwrap());
+            assert!(range.clone().all(is_obeyed), "{range:x?}");
+            assert!(!around.into_iter().any(is_obeyed), "{range:x?}");
+        }
     }
 }
