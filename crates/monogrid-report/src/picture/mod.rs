@@ -7,6 +7,7 @@ pub mod slice;
 pub mod voxels;
 
 use monogrid_image::Image;
+use std::ops::Range;
 
 /// A colour picture.
 pub type Picture = Image<[u8; 3]>;
@@ -56,6 +57,18 @@ pub fn shrink<T: Copy, const N: usize>(
     })
 }
 
+/// Columns and rows of an image of this size that a triangle may have pixels in.
+fn box_around([a, b, c]: [[f64; 2]; 3], size: [usize; 2]) -> [Range<usize>; 2] {
+    [0, 1].map(|axis| {
+        let values = [a[axis], b[axis], c[axis]];
+        let low = values.into_iter().fold(f64::INFINITY, f64::min);
+        let high = values.into_iter().fold(f64::NEG_INFINITY, f64::max);
+        let most = size[axis] as f64;
+        let low = low.ceil().clamp(0.0, most) as usize;
+        low..((high.floor() + 1.0).clamp(0.0, most) as usize).max(low)
+    })
+}
+
 /// Visits the pixels of an image of this size whose centres lie in a triangle, with the shares of
 /// its corners there.
 pub fn over_triangle(
@@ -64,15 +77,7 @@ pub fn over_triangle(
     mut visit: impl FnMut(usize, usize, [f64; 3]),
 ) {
     let area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
-    let bound = |axis: usize| {
-        let values = [a[axis], b[axis], c[axis]];
-        let low = values.into_iter().fold(f64::INFINITY, f64::min);
-        let high = values.into_iter().fold(f64::NEG_INFINITY, f64::max);
-        let most = size[axis] as f64;
-        let low = low.ceil().clamp(0.0, most) as usize;
-        low..((high.floor() + 1.0).clamp(0.0, most) as usize).max(low)
-    };
-    let (columns, rows) = (bound(0), bound(1));
+    let [columns, rows] = box_around([a, b, c], size);
     for y in rows {
         for x in columns.clone() {
             let share = |from: [f64; 2], to: [f64; 2]| {

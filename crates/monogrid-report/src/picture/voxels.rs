@@ -1,7 +1,7 @@
 //! A view of a map: occupied cells as shaded cubes, seen from above at an angle, with the camera's
 //! path.
 
-use super::{Picture, colour, over_triangle, shrink};
+use super::{Picture, box_around, colour, over_triangle, shrink};
 use monogrid_occupancy::{MapError, Occupancy, OccupancyMap, SurfaceMesh};
 use std::collections::BTreeMap;
 
@@ -58,6 +58,9 @@ impl Default for View {
 
 /// Pixels rendered per pixel of the picture and axis.
 const OVERSAMPLING: usize = 2;
+/// How often a pixel is looked at for triangles, on average: surfaces of rooms need a few dozen,
+/// a small file of triangles in one another would take minutes.
+const LOOKS_PER_PIXEL: usize = 200;
 const BACKGROUND: [u8; 3] = [250, 250, 248];
 const PATH_COLOUR: [u8; 3] = [20, 20, 20];
 /// Share of cells on each side that does not decide the extent of the picture (stray cells far
@@ -96,12 +99,13 @@ pub fn render_coloured(cubes: &[Cube], colours: &[[u8; 3]], view: &View) -> Pict
 }
 
 /// Renders a surface from the side that it faces: what is seen from behind is not there, so that
-/// one looks into a room. Colours are those of triangles at shares of their corners.
+/// one looks into a room. Colours are those of triangles at shares of their corners. `None` where
+/// very many triangles lie in one another.
 pub fn render_surface(
     surface: &SurfaceMesh,
     colour_at: impl Fn(usize, [f64; 3]) -> [u8; 3],
     path: &[[f64; 3]],
-) -> Picture {
+) -> Option<Picture> {
     let places = surface.vertices.iter().map(|vertex| Cube {
         center: vertex.map(f64::from),
         size: 0.0,
@@ -112,15 +116,20 @@ pub fn render_surface(
         ..View::default()
     };
     let mut canvas = Canvas::new(&view, &places, path);
+    let pixels = canvas.picture.width() * canvas.picture.height();
+    let corners = |triangle: &[u32; 3]| triangle.map(|i| places[i as usize].center);
+    let mut looks_left = LOOKS_PER_PIXEL * pixels;
+    for triangle in &surface.triangles {
+        looks_left = looks_left.checked_sub(canvas.looks_for(corners(triangle)))?;
+    }
     for (number, triangle) in surface.triangles.iter().enumerate() {
-        let corners = triangle.map(|i| places[i as usize].center);
-        canvas.fill_triangle(corners, |shares| colour_at(number, shares));
+        canvas.fill_triangle(corners(triangle), |shares| colour_at(number, shares));
     }
     canvas.shade_depth_steps();
     for pair in path.windows(2) {
         canvas.draw_line(pair[0], pair[1]);
     }
-    shrink(&canvas.picture, OVERSAMPLING, |pixel| pixel)
+    Some(shrink(&canvas.picture, OVERSAMPLING, |pixel| pixel))
 }
 
 /// Share of a surface that must face one side more than the other, for it to be seen from there.
@@ -330,6 +339,17 @@ impl Canvas {
         }
     }
 
+    /// How many pixels are looked at to fill a triangle.
+    fn looks_for(&self, corners: [[f64; 3]; 3]) -> usize {
+        if dot(normal_of(corners), self.axes[2]) >= 0.0 {
+            return 0;
+        }
+        let corners = corners.map(|corner| self.project(corner));
+        let size = [self.picture.width(), self.picture.height()];
+        let [columns, rows] = box_around(corners.map(|[x, y, _]| [x, y]), size);
+        columns.len() * rows.len()
+    }
+
     /// Fills a triangle that faces the viewer, nearest distance wins; lit from above a little, so
     /// that its shape is seen.
     fn fill_triangle(&mut self, corners: [[f64; 3]; 3], colour_at: impl Fn([f64; 3]) -> [u8; 3]) {
@@ -443,13 +463,19 @@ mod tests {
         };
         assert_eq!(faced_azimuth(&surface), Some(0.0));
         let colour = |triangle, _| [[200, 0, 0], [0, 0, 200]][triangle / 2];
-        let seen = render_surface(&surface, colour, &[]);
+        let seen = render_surface(&surface, colour, &[]).unwrap();
         let pixels = seen.as_slice().iter();
         let of = |channel: usize| {
             let is_it = |p: &&[u8; 3]| p[channel] > 100 && p[2 - channel] == 0;
             pixels.clone().filter(is_it).count()
         };
         assert!(of(0) > 1000 && of(2) > 1000, "{} {}", of(0), of(2));
+        let again = |times| SurfaceMesh {
+            triangles: surface.triangles.repeat(times),
+            ..surface.clone()
+        };
+        assert!(render_surface(&again(10), |_, _| [0; 3], &[]).is_some());
+        assert!(render_surface(&again(2000), |_, _| [0; 3], &[]).is_none());
         let turned = SurfaceMesh {
             triangles: surface
                 .triangles

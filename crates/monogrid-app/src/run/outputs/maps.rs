@@ -106,12 +106,13 @@ pub fn write_global(
     let ((cubes, cut, plan), mesh) = (drawn?, mesh?);
     // nobody waits for a picture of the surface where nobody waits for one on it
     let is_waited_for = !surface.views.is_empty();
-    let preview = encode_png_rgb(&match &mesh {
-        Some(mesh) if is_waited_for && !mesh.colours.is_empty() => {
-            render_surface(&mesh.surface, |t, shares| mesh.colour_at(t, shares), path)
-        }
-        _ => render(&cubes, path, cut, &View::default()),
+    let shown = mesh.as_ref();
+    let shown = shown.filter(|mesh| is_waited_for && !mesh.colours.is_empty());
+    let seen = shown.and_then(|mesh| {
+        render_surface(&mesh.surface, |t, shares| mesh.colour_at(t, shares), path)
     });
+    let preview = seen.unwrap_or_else(|| render(&cubes, path, cut, &View::default()));
+    let preview = encode_png_rgb(&preview);
     folder.write("preview.png", &preview)?;
     let pictures = MapPictures {
         preview,

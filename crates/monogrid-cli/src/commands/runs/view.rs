@@ -70,7 +70,7 @@ pub fn execute(args: &ViewArgs) -> CommandResult {
     let (html, png) = (html?, png?);
     let shown = Shown::read(&args.source)?;
     if let Some(file) = &png {
-        file.write(&encode_png_rgb(&shown.picture()))?;
+        file.write(&encode_png_rgb(&shown.picture()?))?;
     }
     let is_served = html.is_none() && png.is_none();
     let server = is_served.then(|| Server::listen(args.port)).transpose()?;
@@ -191,11 +191,17 @@ impl Shown {
             .collect()
     }
 
-    fn picture(&self) -> monogrid_report::picture::Picture {
-        match &self.surface {
-            Some(mesh) => render_surface(&mesh.surface, |t, shares| mesh.colour_at(t, shares), &[]),
-            None => render(&self.cubes, &self.path(), self.scene.cut, &View::default()),
-        }
+    fn picture(&self) -> Result<monogrid_report::picture::Picture, Failure> {
+        let Some(mesh) = &self.surface else {
+            let view = View::default();
+            return Ok(render(&self.cubes, &self.path(), self.scene.cut, &view));
+        };
+        render_surface(&mesh.surface, |t, shares| mesh.colour_at(t, shares), &[]).ok_or_else(|| {
+            Failure::input(
+                "no picture is drawn of triangles that lie in one another; expected a surface, as \
+                 scans and models have it",
+            )
+        })
     }
 
     fn page(&self, source: &Path) -> Result<String, Failure> {
