@@ -525,3 +525,16 @@ fn nothing_is_made_for_those_who_waited_when_the_server_ended() {
     assert_eq!(made.load(Ordering::Relaxed), 1);
     drop((first, waiting));
 }
+
+#[test]
+fn a_thread_that_does_not_end_is_left_alone() {
+    let (hold, held) = std::sync::mpsc::channel::<()>();
+    let serving = Serving {
+        thread: std::thread::spawn(move || drop(held.recv())),
+        stop: Arc::default(),
+    };
+    let begin = Instant::now();
+    assert_eq!(serving.end(), Ok(()));
+    assert!(begin.elapsed() < 4 * END_WITHIN);
+    drop(hold);
+}
