@@ -10,6 +10,8 @@ In every tracked Markdown file
 * `monogrid COMMAND` in code is a command of the program,
 * nothing stands about folders outside of the repository (`../shared`, `/tmp`).
 
+REFERENCES.md has an entry for every key, such as `[SDVO13]`, in comments of the code, and no other.
+
 README.md has at most 110 lines, BENCHMARKS.md 300, and no document more than 25 kB but tables to look things up.
 The contents of the book (docs/SUMMARY.md) list every page of docs/. Needs Python 3 and git.
 """
@@ -35,6 +37,10 @@ FOLDERS = r"(?:\.ci|\.github|benchmarks|crates|docs|extra|fuzz|scripts)"
 PATH = re.compile(rf"(?<![\w/.-])({FOLDERS}/[\w./-]+\w/?)(?![\w{{*<$])")
 COMMAND = re.compile(r"(?<![\w/.-])monogrid ([a-z][a-z-]+)(?= |$|`)", re.MULTILINE)
 OUTSIDE = re.compile(r"\.\./shared|(?<![\w.])/tmp/")
+
+# a work that comments of the code cite, and its entry
+CITED = re.compile(r"\[([A-Z][A-Z0-9]+[0-9]{2}|EVO)\]")
+ENTRY = re.compile(r"^\| ([A-Z0-9]+) \|", re.MULTILINE)
 
 
 def anchors(text):
@@ -84,6 +90,19 @@ def faults(path, text, known):
                 yield line_of(start + found.start()), f"monogrid has no command {found[1]!r}"
 
 
+def unknown_works():
+    """Keys without an entry in REFERENCES.md, with where they are cited, and entries that nothing cites."""
+    entries = set(ENTRY.findall((ROOT / "REFERENCES.md").read_text()))
+    listed = subprocess.run(["git", "-C", ROOT, "ls-files", "*.rs"], check=True, capture_output=True, text=True)
+    cited = set()
+    for path in listed.stdout.split():
+        comments = re.findall(r"//.*", (ROOT / path).read_text())
+        keys = set(CITED.findall("\n".join(comments)))
+        cited |= keys
+        yield from (f"{path}: {key} is not in REFERENCES.md" for key in sorted(keys - entries))
+    yield from (f"REFERENCES.md: nothing cites {key}" for key in sorted(entries - cited))
+
+
 def main():
     listed = subprocess.run(["git", "-C", ROOT, "ls-files", "*.md"], check=True, capture_output=True, text=True)
     known = commands()
@@ -95,6 +114,8 @@ def main():
         count += 1
         print(message, file=sys.stderr)
 
+    for fault in unknown_works():
+        say(fault)
     if len(known) < 10:
         say(f"found the commands {sorted(known)}, expected more: is the pattern right?")
     for path in listed.stdout.split():

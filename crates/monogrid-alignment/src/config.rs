@@ -12,7 +12,7 @@ pub enum Robust {
     },
     /// Student t with `nu` degrees of freedom and a scale estimated on each level.
     StudentT {
-        /// Degrees of freedom; 5 after `[DVO13]`.
+        /// Degrees of freedom; 5 after `[KERL13]`.
         nu: f32,
     },
 }

@@ -332,7 +332,7 @@ impl Projection {
     /// Residual, weight and Jacobian of up to [`LANES`] points: from the first one on, every
     /// `stride`-th.
     ///
-    /// `[ECCV14]` equations 11 to 14; with the direction `m` (z = 1) and inverse depth `d` of a
+    /// `[LSD14]` equations 11 to 14; with the direction `m` (z = 1) and inverse depth `d` of a
     /// point, `q = R m + t d` is its position in the frame times `d`.
     #[inline(always)]
     fn chunk<L: Lanes>(
@@ -479,7 +479,7 @@ impl Weighting {
         }
     }
 
-    /// Summand of the fixed-point iteration for the scale of the t distribution (`[DVO13]`).
+    /// Summand of the fixed-point iteration for the scale of the t distribution (`[KERL13]`).
     #[inline(always)]
     fn scale_term<L: Lanes>(&self, lanes: L, normalised_sq: L::F32) -> L::F32 {
         match self.robust {

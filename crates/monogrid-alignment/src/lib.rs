@@ -8,8 +8,8 @@
 //! Conventions: `frame_from_keyframe` maps keyframe coordinates (in the keyframe's units) to the
 //! frame; updates are on the left; brightness is `I_frame = gain * I_keyframe + bias`.
 //!
-//! Reference: `[ECCV14]` Engel, Schöps, Cremers, *LSD-SLAM*, section 3.3 (equations 11 to 14), with
-//! the brightness inside the solve and Student-t weights (`[DVO13]` Kerl, Sturm, Cremers).
+//! Reference: `[LSD14]` section 3.3 (equations 11 to 14), with the affine brightness of `[DSO18]`
+//! inside the solve and the weights of a t distribution of `[KERL13]`.
 #![deny(missing_docs)]
 
 mod config;

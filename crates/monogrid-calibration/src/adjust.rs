@@ -235,7 +235,7 @@ impl Problem<'_> {
         rows
     }
 
-    /// The reduced system at this damping (Triggs et al., section 6).
+    /// The reduced system at this damping (`[TRIGGS00]` section 6).
     fn reduce(&self, damping: f64) -> Reduced {
         let columns = self.pose_columns();
         let mut reduced = Reduced {

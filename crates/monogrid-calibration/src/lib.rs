@@ -14,8 +14,7 @@
 //! Motions that do not determine the focal length (straight ahead, no parallax) leave little
 //! information: the prior is kept and the outcome says so ([`Estimate::is_determined`]).
 //!
-//! Reference: Triggs et al., *Bundle Adjustment: A Modern Synthesis*, 2000; Pollefeys et al.,
-//! *Visual Modeling with a Hand-Held Camera*, 2004, on calibration from the scene.
+//! References: `[TRIGGS00]`; `[POLLEFEYS04]` on calibration from the scene.
 //!
 //! [`target`] does it with a chessboard instead.
 //!

@@ -97,7 +97,7 @@ pub(crate) fn triangulate(
 /// A thousandth of a pixel for a focal length of 500: what is below is rounding.
 const MIN_PARALLAX_DEG: f64 = 1e-4;
 
-/// Hartley and Zisserman, *Multiple View Geometry*, section 12.2, with bearings instead of pixels.
+/// `[HZ04]` section 12.2, with bearings instead of pixels.
 fn linear(sightings: &[View], pinhole: &Pinhole) -> Result<Vec3, TriangulationError> {
     let mut gram = Matrix4::zeros();
     for sighting in sightings {

@@ -63,9 +63,8 @@ impl FrameChecker {
     }
 }
 
-/// Blur after Crete, Dolmiere, Ladret and Nicolas (2007), "The blur effect": how little of the
-/// variation between neighbours is lost when the image is blurred once more. The larger of both
-/// directions, because motion blurs in one.
+/// Blur after `[CRETE07]`: how little of the variation between neighbours is lost when the image is
+/// blurred once more. The larger of both directions, because motion blurs in one.
 #[must_use]
 pub fn blur(image: &GrayImage) -> f32 {
     let (w, h) = (image.width(), image.height());

@@ -20,8 +20,7 @@
 //! * Nothing here spawns threads: kernels work on bands of rows that the caller distributes, and
 //!   the result does not depend on the bands.
 //!
-//! References: \[SDVO13\] Engel, Sturm, Cremers, *Semi-Dense Visual Odometry for a Monocular
-//! Camera*, ICCV 2013; \[Hull17\] section 3.3.2.
+//! References: `[SDVO13]`; `[HULL17]` section 3.3.2.
 #![deny(missing_docs)]
 
 mod choose;

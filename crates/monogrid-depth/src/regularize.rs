@@ -203,7 +203,7 @@ impl RegularizeBand<'_> {
 }
 
 for_lanes! {
-    /// [SDVO13] section 2.4: mean over the consistent neighbours, weighted by `1 / (V + (slope
+    /// `[SDVO13]` section 2.4: mean over the consistent neighbours, weighted by `1 / (V + (slope
     /// distance)²)`; `None` when too few neighbours are valid. The validities of the band and the
     /// rows beside it begin at the index `first` of the map.
     ///

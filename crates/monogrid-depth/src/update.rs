@@ -169,7 +169,7 @@ impl DepthBand<'_> {
         self.validity[i] = validity.min(max_validity);
         self.failures[i] = 0;
         self.photo_px[i] = observation.photo_px;
-        // [SDVO13] Eq. (13)
+        // `[SDVO13]` equation 13
         let weight = var / (var + observation.var);
         self.idepth[i] += weight * innovation;
         let product = var * observation.var / (var + observation.var);

@@ -31,7 +31,7 @@ pub(crate) struct LineUncertainty {
 
 impl LineUncertainty {
     /// Geometric variance along the line: a displacement `e` of the line moves the match by
-    /// `<g, e> / <g, l>`, [SDVO13] Eq. (8).
+    /// `<g, e> / <g, l>`, `[SDVO13]` equation 8.
     #[inline]
     pub(crate) fn geometric(&self, idepth: f32, inv_cos_sq: f32, model: VarianceModel) -> f32 {
         match model {

@@ -1,7 +1,6 @@
 //! Cells along a straight line.
 //!
-//! Reference: Amanatides and Woo, *A fast voxel traversal algorithm*, Eurographics 1987; steps are
-//! counted, so it always ends.
+//! Reference: `[AW87]`; steps are counted, so it always ends.
 
 /// Visits every cell that the segment from `start` to `end` crosses, the first one included and the
 /// last one too, until `visit` returns false. Cell `k` covers `[k, k + 1) * resolution`.

@@ -95,8 +95,7 @@ pub fn absolute_pose(
 
 /// Poses from three points and unit rays: at most four.
 ///
-/// Grunert's equations for the three distances `s1, u s1, v s1` as in Haralick et al., *Review and
-/// analysis of solutions of the three point perspective pose estimation problem* (1994): their
+/// Grunert's equations for the three distances `s1, u s1, v s1` as in `[HARALICK94]`: their
 /// difference is linear in `u`, which leaves a quartic in `v`.
 fn three_point(points: &[Vec3; 3], rays: &[Vec3; 3]) -> Vec<Se3> {
     let side_sq = |i: usize, j: usize| (points[i] - points[j]).norm_squared();

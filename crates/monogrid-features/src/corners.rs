@@ -1,5 +1,5 @@
-//! Well-distributed corners: smaller eigenvalue of the structure tensor (Shi and Tomasi, 1994),
-//! one maximum per small cell, then the best of every larger cell first.
+//! Well-distributed corners: smaller eigenvalue of the structure tensor (`[SHI94]`), one maximum
+//! per small cell, then the best of every larger cell first.
 
 use crate::{finest_pixel, noise_share};
 use monogrid_geometry::Vec2;

@@ -1,9 +1,9 @@
 //! The motion of a picture as a smooth field, from some hundred corners followed from image to
 //! image.
 //!
-//! Eight numbers are what a plane does that is seen by a moving camera (Longuet-Higgins, *The
-//! visual ambiguity of a moving plane*, 1984): a rotation, and the mean motion by parallax. What
-//! single corners move otherwise is spread over their surroundings.
+//! Eight numbers are what a plane does that is seen by a moving camera (`[LONGUET84]`): a rotation,
+//! and the mean motion by parallax. What single corners move otherwise is spread over their
+//! surroundings.
 
 use monogrid_geometry::Vec2;
 use monogrid_geometry::median::median;

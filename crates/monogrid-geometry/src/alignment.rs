@@ -1,7 +1,6 @@
 //! Least-squares similarity between two point sets.
 //!
-//! Reference: Umeyama, *Least-squares estimation of transformation parameters between two point
-//! patterns*, PAMI 1991, equations (40) to (42).
+//! Reference: `[UMEYAMA91]` equations 40 to 42.
 
 use crate::{Mat3, Rotation, Sim3, Vec3};
 

@@ -32,12 +32,13 @@ pub enum Distortion {
         /// Radial, sixth order.
         k3: f64,
     },
-    /// FOV (ATAN) model of Devernay and Faugeras, as in PTAM and LSD-SLAM.
+    /// FOV (ATAN) model (`[DEV01]`), as in PTAM and LSD-SLAM.
     Fov {
         /// Field-of-view parameter, rad.
         omega: f64,
     },
-    /// Equidistant (Kannala-Brandt) fisheye with four coefficients, as OpenCV's `fisheye`.
+    /// Equidistant fisheye (Kannala and Brandt, `[KB06]`) with four coefficients, as OpenCV's
+    /// `fisheye`.
     Equidistant {
         /// Coefficients of theta^3, theta^5, theta^7, theta^9.
         k: [f64; 4],
@@ -49,22 +50,22 @@ pub enum Distortion {
         /// Tangential: p1, p2.
         p: [f64; 2],
     },
-    /// Double sphere model of Usenko, Demmel and Cremers (2018).
+    /// Double sphere model, `[USENKO18]`.
     DoubleSphere {
         /// Distance between the centres of the spheres.
         xi: f64,
         /// Where the second projection has its centre, [0, 1].
         alpha: f64,
     },
-    /// Extended unified model of Khomutenko, Garcia and Martinet (2016).
+    /// Extended unified model, `[EUCM16]`.
     ExtendedUnified {
         /// Share of the distance beside that of the depth, [0, 1].
         alpha: f64,
         /// How the distance across counts, positive.
         beta: f64,
     },
-    /// Omnidirectional model of Mei and Rives (2007): a sphere, then radial-tangential, as
-    /// OpenCV's `omnidir` and Kalibr's `omni`.
+    /// Omnidirectional model, `[MEI07]`: a sphere, then radial-tangential, as OpenCV's `omnidir`
+    /// and Kalibr's `omni`.
     Omnidirectional {
         /// Distance of the projection from the centre of the sphere.
         xi: f64,

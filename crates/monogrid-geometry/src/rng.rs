@@ -13,7 +13,7 @@ pub fn mix(state: u64) -> u64 {
     word ^ (word >> 31)
 }
 
-/// SplitMix64 (Steele, Lea and Flood, 2014), which gives the same on every platform.
+/// SplitMix64 (`[STEELE14]`), which gives the same on every platform.
 #[derive(Clone, Debug)]
 pub struct Rng {
     state: u64,

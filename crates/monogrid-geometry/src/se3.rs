@@ -1,4 +1,4 @@
-//! Rigid transforms.
+//! Rigid transforms, with the exponential map of `[SOLA18]` appendix D.
 
 use crate::{Mat3, Mat6, Rotation, Sim3, Vec3, Vec6, hat, left_jacobian, left_jacobian_inverse};
 use crate::{rotation_exp, rotation_log};

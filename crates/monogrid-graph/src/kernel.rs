@@ -20,9 +20,9 @@ pub enum RobustKernel {
         /// Where the weight has fallen to one half, in standard deviations.
         scale: f64,
     },
-    /// Dynamic covariance scaling (Agarwal et al., ICRA 2013), the closed form of switchable
-    /// constraints: quadratic up to `s = phi`, then bounded by `3 phi`, so that a wrong loop
-    /// closure is switched off.
+    /// Dynamic covariance scaling (`[AGARWAL13]`), the closed form of switchable constraints:
+    /// quadratic up to `s = phi`, then bounded by `3 phi`, so that a wrong loop closure is switched
+    /// off.
     DynamicCovariance {
         /// Switching threshold on the squared residual.
         phi: f64,

@@ -1,9 +1,9 @@
 //! Inertial measurements beside the images of a camera.
 //!
 //! [`Imu`] holds what a gyroscope and an accelerometer measured, [`Preintegrated`] what that says
-//! about the motion between two times (Forster et al. 2017), and [`estimate`] what it says about a
-//! path that a single camera found: its scale, where gravity pulls, the biases of the sensor, and
-//! where the camera was while it saw nothing.
+//! about the motion between two times (`[FORSTER17]`), and [`estimate`] what it says about a path
+//! that a single camera found: its scale, where gravity pulls, the biases of the sensor, and where
+//! the camera was while it saw nothing.
 //!
 //! The frame of the sensor is called `imu`; `imu_from_camera` is fixed. Specific force is what an
 //! accelerometer measures: a sensor at rest measures 9.81 m/s² upwards. Lengths are metres unless

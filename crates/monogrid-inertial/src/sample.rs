@@ -27,8 +27,8 @@ pub struct ImuNoise {
 }
 
 impl Default for ImuNoise {
-    /// A sensor of a phone (Bosch BMI160), by the values that Schubert et al. 2018 (the TUM VI
-    /// benchmark) give for estimators.
+    /// A sensor of a phone (Bosch BMI160), by the values that `[SCHUBERT18]` (the TUM VI benchmark)
+    /// gives for estimators.
     fn default() -> Self {
         Self {
             gyroscope: 1.6e-4,

@@ -193,7 +193,7 @@ pub(crate) struct KeyframeEvidence {
     pub num_keyframes: usize,
 }
 
-/// How far a frame is from a keyframe: 1 where a new keyframe is needed. `[ECCV14]` weighted
+/// How far a frame is from a keyframe: 1 where a new keyframe is needed. `[LSD14]` weighted
 /// combination of distance, in units of the mean depth, and lost overlap.
 pub(crate) fn keyframe_score(relative_distance: f64, usage: f64, config: &KeyframeConfig) -> f64 {
     let distance = relative_distance * config.distance_weight;

@@ -234,7 +234,7 @@ fn spline(points: &[Vec3], progress: f64) -> Vec3 {
         / 6.0
 }
 
-/// Cumulative cubic B-spline on SE(3) (Lovegrove et al. 2013, equations 3 and 4).
+/// Cumulative cubic B-spline on SE(3) (`[LOVEGROVE13]` equations 3 and 4).
 fn pose_spline(knots: &[Se3], progress: f64) -> Se3 {
     let (k, s) = segment(knots.len(), progress);
     let chain = around(knots, k, |end, inner| *end * inner.inverse() * *end);

@@ -264,7 +264,7 @@ fn add_block_with<L: Lanes>(
     geometric.by_lane().add_to(DEPTH, out);
 }
 
-/// Gives points the joint weight of their residuals (`[ECCV14]` equation 18).
+/// Gives points the joint weight of their residuals (`[LSD14]` equation 18).
 #[inline(always)]
 fn weigh<L: Lanes>(
     lanes: L,

@@ -12,11 +12,11 @@
 //! directions and fuses the two when they agree.
 //!
 //! Conventions: tangents `[v, w, s]`, updates on the left of `b_from_a`, so in the coordinates and
-//! units of `b`. The derivative of `D_b` by the position is neglected, as in `[ECCV14]`: depth is
+//! units of `b`. The derivative of `D_b` by the position is neglected, as in `[LSD14]`: depth is
 //! looked up at the nearest pixel.
 //!
-//! Reference: `[ECCV14]` Engel, Schöps, Cremers, *LSD-SLAM*, section 3.5 (equations 15 to 19); the
-//! bivariate Student-t weight in place of its joint Huber weight after `[DVO13]`.
+//! Reference: `[LSD14]` section 3.5 (equations 15 to 19); the bivariate Student-t weight in place
+//! of its joint Huber weight after `[KERL13]`.
 
 mod config;
 mod kernel;

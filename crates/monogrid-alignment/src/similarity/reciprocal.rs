@@ -104,7 +104,7 @@ fn check(
     Ok(())
 }
 
-/// `e = d' (S_ab + Ad S_ba Ad')^-1 d` with `d = log(b_from_a a_from_b)` (`[ECCV14]` equation 20),
+/// `e = d' (S_ab + Ad S_ba Ad')^-1 d` with `d = log(b_from_a a_from_b)` (`[LSD14]` equation 20),
 /// and the mean of both weighted with their information.
 ///
 /// The two directions see the same images: their information is averaged, not added.

@@ -1,10 +1,9 @@
 //! How well a camera that only turns explains where corners went from one image to another.
 //!
 //! A camera that turns about its centre sees the same rays again: whatever their depth, pixels move
-//! by a homography that its focal length and three angles determine (Hartley, *Self-calibration
-//! from multiple views with a rotating camera*, 1994). Where the focal length is not known it is
-//! found with the angles, and so is a radial distortion (division model; Fitzgibbon,
-//! *Simultaneous linear estimation of multiple view geometry and lens distortion*, 2001).
+//! by a homography that its focal length and three angles determine (`[HARTLEY94]`). Where the
+//! focal length is not known it is found with the angles, and so is a radial distortion (division
+//! model, `[FITZGIBBON01]`).
 
 use monogrid_features::Match;
 use monogrid_geometry::median::median;

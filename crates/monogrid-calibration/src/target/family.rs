@@ -1,5 +1,4 @@
-//! The tags of AprilTag's family 36h11 (Olson, *AprilTag: A Robust and Flexible Visual Fiducial
-//! System*, 2011), read from between four corners.
+//! The tags of AprilTag's family 36h11 (`[OLSON11]`), read from between four corners.
 
 use super::fit::homography;
 use monogrid_geometry::Vec2;

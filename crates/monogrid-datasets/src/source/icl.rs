@@ -1,7 +1,5 @@
-//! ICL-NUIM as it is downloaded: `associations.txt` pairs colour and depth by the number of the
-//! frame, `NAME.gt.freiburg` has the poses by that number.
-//!
-//! A. Handa et al., *A Benchmark for RGB-D Visual Odometry, 3D Reconstruction and SLAM*, ICRA 2014.
+//! ICL-NUIM (`[HANDA14]`) as it is downloaded: `associations.txt` pairs colour and depth by the
+//! number of the frame, `NAME.gt.freiburg` has the poses by that number.
 
 use super::{Dataset, DepthEntry, Layout, Parts, SourceOptions, folder};
 use crate::files::{is_file, paths_in};

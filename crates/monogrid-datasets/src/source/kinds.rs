@@ -1,5 +1,5 @@
-//! Folders with several files for a frame, as 7-Scenes has them: `frame-000000.color.png`,
-//! `.depth.png` and `.pose.txt`.
+//! Folders with several files for a frame, as 7-Scenes (`[SHOTTON13]`) has them:
+//! `frame-000000.color.png`, `.depth.png` and `.pose.txt`.
 
 use crate::files::is_file;
 use std::collections::BTreeMap;

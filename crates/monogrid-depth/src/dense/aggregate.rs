@@ -1,5 +1,4 @@
-//! Semi-global aggregation of the costs [Hirschmüller, *Stereo Processing by Semiglobal Matching
-//! and Mutual Information*, PAMI 2008].
+//! Semi-global aggregation of the costs, `[SGM08]`.
 //!
 //! Along each of eight directions r, the cost of a plane k at a pixel p is that of the best way
 //! there,

@@ -18,8 +18,8 @@ const MAX_DISPARITY_PX: usize = 80;
 const MAX_DIFFERENCE_PX: f32 = 1.0;
 
 impl MeasuredDepth {
-    /// Depth in the first image of a stereo pair, in metres: semi-global matching
-    /// \[Hirschmüller, PAMI 2008\] of both images at half their size, as far as both find the same.
+    /// Depth in the first image of a stereo pair, in metres: semi-global matching (`[SGM08]`) of
+    /// both images at half their size, as far as both find the same.
     ///
     /// Both images are of the size and of the `camera` of the first; `second_from_first` has its
     /// translation in metres. Nothing is known where the images are too small or of two sizes, or

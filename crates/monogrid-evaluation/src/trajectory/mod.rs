@@ -1,8 +1,9 @@
-//! Absolute and relative error of an estimated trajectory, as `evo` computes them, and scale drift.
+//! Absolute and relative error of an estimated trajectory, as `evo` computes them (`[EVO]`,
+//! `[STURM12]`), and scale drift.
 //!
-//! Flow: **associate** by time → **align** by Umeyama → errors of positions (ATE) and of motions
-//! over one frame (RPE); beside them the scale of short windows and the share of the truth that is
-//! covered. Poses are `world_from_camera`; lengths are those of the true trajectory.
+//! Flow: **associate** by time → **align** (`[UMEYAMA91]`) → errors of positions (ATE) and of
+//! motions over one frame (RPE); beside them the scale of short windows and the share of the truth
+//! that is covered. Poses are `world_from_camera`; lengths are those of the true trajectory.
 
 mod align;
 mod associate;

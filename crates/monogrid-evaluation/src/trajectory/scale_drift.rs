@@ -106,7 +106,7 @@ fn truth_spread(window: &[PosePair]) -> f64 {
     (sum_sq / window.len() as f64).sqrt()
 }
 
-/// Umeyama, equation (42): tr(D S) / var(estimate). Unlike the rotation it is also defined for
+/// `[UMEYAMA91]` equation 42: tr(D S) / var(estimate). Unlike the rotation it is also defined for
 /// motion along a line.
 fn umeyama_scale(window: &[PosePair]) -> f64 {
     let mean_estimate = mean(window, |p| p.est_from_camera.translation);

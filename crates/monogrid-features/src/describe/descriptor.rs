@@ -1,7 +1,7 @@
 //! Steered BRIEF: 256 comparisons of smoothed grey values, in a frame that turns with the patch.
 //!
-//! Calonder et al., *BRIEF* (2010), with the orientation by the intensity centroid of Rublee et
-//! al., *ORB* (2011). The pattern is our own, drawn from a seeded Gaussian.
+//! `[BRIEF10]`, with the orientation by the intensity centroid of `[RUBLEE11]`. The pattern is our
+//! own, drawn from a seeded Gaussian.
 
 use crate::{Corner, CornerConfig, Rng, detect_corners, finest_pixel, level_pixel};
 use monogrid_geometry::Vec2;

@@ -1,9 +1,9 @@
 //! Recognition of places without a vocabulary: an inverted index over parts of the descriptors.
 //!
-//! Multi-index hashing (Norouzi, Punjani and Fleet, 2012): two descriptors that differ in few bits
-//! agree exactly in one of their sixteen parts of 16 bits with high probability (30 differing bits:
-//! 0.9). Whatever shares a part is compared in full, so a query returns real correspondences with
-//! every place, which the geometric check needs next.
+//! Multi-index hashing (`[NOROUZI12]`): two descriptors that differ in few bits agree exactly in
+//! one of their sixteen parts of 16 bits with high probability (0.9 for 30 differing bits).
+//! Whatever shares a part is compared in full, so a query returns real correspondences with every
+//! place, which the geometric check needs next.
 
 use super::Descriptor;
 use std::collections::BTreeMap;

@@ -1,7 +1,6 @@
 //! Essential matrices from five matches.
 //!
-//! Nister, *An efficient solution to the five-point relative pose problem* (2004), section 3.
-//! The tenth-degree polynomial is solved by isolation of its roots.
+//! `[NISTER04]` section 3. The tenth-degree polynomial is solved by isolation of its roots.
 
 use crate::polynomial::{evaluate, multiply, real_roots};
 use monogrid_geometry::nalgebra::SMatrix;

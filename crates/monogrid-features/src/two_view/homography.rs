@@ -27,9 +27,9 @@ pub(super) fn four_point(a: &[Vec3; 4], b: &[Vec3; 4]) -> Option<Mat3> {
     (norm.is_finite() && homography.determinant().abs() > 1e-9 * norm.powi(3)).then_some(homography)
 }
 
-/// The two motions with the plane in front of the bearings `a` that explain `homography`
-/// (Ma, Soatto, Kosecka and Sastry, *An Invitation to 3-D Vision*, 2004, section 5.3.3), with the
-/// length of `t` in units of the distance of the plane; none when it is a rotation.
+/// The two motions with the plane in front of the bearings `a` that explain `homography` (`[MA04]`
+/// section 5.3.3), with the length of `t` in units of the distance of the plane; none when it is a
+/// rotation.
 pub(super) fn decompose(homography: &Mat3, a: &[Vec3], b: &[Vec3]) -> Vec<Se3> {
     let svd = homography.svd(false, true);
     let Some(v_t) = svd.v_t else {

@@ -1,6 +1,6 @@
 //! Random sampling: several distinct essential matrices, the best homography, the best rotation.
 //!
-//! Models are scored by the truncated squared error (MSAC; Torr and Zisserman, 2000).
+//! Models are scored by the truncated squared error (MSAC, `[TORR00]`).
 
 use super::five_point::five_point;
 use super::homography::four_point;

@@ -85,7 +85,7 @@ pub struct TwoView {
     pub residual_px: f64,
     /// Robust cost (chi squared, truncated) per match, for comparison with alternatives.
     pub cost_per_match: f64,
-    /// Score of the homography over the sum of both, R_H of ORB-SLAM: above 0.45 the points may
+    /// Score of the homography over the sum of both, R_H of `[ORB15]`: above 0.45 the points may
     /// lie on a plane.
     pub homography_share: f64,
 }

@@ -213,14 +213,14 @@ fn sphere_models_are_the_formulas_of_their_authors() {
         };
         let pixel = |mx: f64, my: f64| Vec2::new(517.3 * mx + 318.6, 516.5 * my + 255.3);
         let squared = x * x + y * y;
-        // Usenko et al., equations 40 to 42
+        // `[USENKO18]` equations 40 to 42
         let (xi, alpha) = (-0.18, 0.57);
         let d1 = (squared + z * z).sqrt();
         let d2 = (squared + (xi * d1 + z).powi(2)).sqrt();
         let below = alpha * d2 + (1.0 - alpha) * (xi * d1 + z);
         let expected = pixel(x / below, y / below);
         assert_close!(camera("ds", &[xi, alpha]).unwrap(), expected, 1e-10);
-        // Khomutenko et al.
+        // `[EUCM16]`
         let (alpha, beta) = (0.63, 1.12);
         let d = (beta * squared + z * z).sqrt();
         let below = alpha * d + (1.0 - alpha) * z;

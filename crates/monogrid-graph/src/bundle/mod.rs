@@ -15,8 +15,7 @@
 //!   another one at its distance ([`PoseFreedom::FixedDistance`]). Without either, the damping
 //!   holds what the data leave open, and variances are refused.
 //!
-//! Reference: Triggs et al., *Bundle Adjustment: A Modern Synthesis*, 2000, section 6; inverse
-//! depth after Civera et al., 2008.
+//! References: `[TRIGGS00]` section 6; inverse depth after `[CIVERA08]`.
 
 mod appearance;
 mod linear;

@@ -14,13 +14,12 @@
 //! * Scale cannot collapse: it is a logarithm, residuals are in keyframe units, implausible scale
 //!   ratios are refused on entry, and no single step may change a scale by more than a factor two.
 //! * Wrong edges: bounded kernels ([`crate::RobustKernel::DynamicCovariance`]) are graduated, from
-//!   nearly quadratic to their own shape (Yang et al., *Graduated Non-Convexity*, RA-L 2020), so
+//!   nearly quadratic to their own shape (graduated non-convexity, `[YANG20]`), so
 //!   that right edges with a large initial error are not switched off. Only edges added since the
 //!   last optimisation are graduated: a closure into a graph at rest costs a few steps. Give edges
 //!   that must not tear, such as odometry, an unbounded kernel.
 //!
-//! References: Strasdat et al., *Scale Drift-Aware Large Scale Monocular SLAM*, RSS 2010; Agarwal
-//! et al., *Robust Map Optimization using Dynamic Covariance Scaling*, ICRA 2013.
+//! References: `[STRASDAT10]`, `[AGARWAL13]`.
 
 mod linear;
 mod solver;

@@ -96,8 +96,8 @@ impl Problem {
         sum.add_one(k, &state, &globals, &weighted, &residual);
     }
 
-    /// What the sensor measured between a frame and the next one (Forster et al. 2017, equation
-    /// 45), and the walk of its biases.
+    /// What the sensor measured between a frame and the next one (`[FORSTER17]` equation 45), and
+    /// the walk of its biases.
     pub(super) fn add_readings(
         &self,
         sum: &mut Sum,

@@ -3,11 +3,10 @@
 //!
 //! Maximum a posteriori over orientation, velocity, position and biases of the sensor at every
 //! frame, the scale of the path and the direction of gravity: readings are preintegrated between
-//! frames (Forster et al. 2017), and every pose of the camera counts as a measurement. As in the
-//! initialisation of Campos, Montiel and Tardós 2020 poses are taken as given but for their scale;
-//! unlike there each has an error of its own, since an error of positions that explain
-//! accelerations makes the scale too small. How large these errors are is found from what is left
-//! of them.
+//! frames (`[FORSTER17]`), and every pose of the camera counts as a measurement. As in the
+//! initialisation of `[CAMPOS20]` poses are taken as given but for their scale; unlike there each
+//! has an error of its own, since an error of positions that explain accelerations makes the scale
+//! too small. How large these errors are is found from what is left of them.
 //!
 //! A path may have parts, each with its own place and unit, with nothing seen between them: the
 //! readings say where they lie.

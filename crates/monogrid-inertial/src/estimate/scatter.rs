@@ -2,8 +2,8 @@
 //!
 //! Errors of a path that was tracked are not white: it bends, and its scale changes by a percent
 //! from one keyframe to another. What the normal equations say of the uncertainty is then too
-//! little. A delete-a-group jackknife (Efron and Tibshirani 1993, chapter 11) leaves out one
-//! stretch after the other and looks at what that changes.
+//! little. A delete-a-group jackknife (`[EFRON93]` chapter 11) leaves out one stretch after the
+//! other and looks at what that changes.
 
 use super::problem::{Problem, States};
 use super::types::Observation;

@@ -75,8 +75,8 @@ impl Extent {
         }
     }
 
-    /// Distances by steps to the eight neighbours (Rosenfeld and Pfaltz, 1968): once from the first
-    /// cell to the last, once back.
+    /// Distances by steps to the eight neighbours (`[ROSENFELD68]`): once from the first cell to
+    /// the last, once back.
     fn spread(&mut self) {
         let size = (self.distances.width(), self.distances.height());
         let (columns, rows) = (size.0 as isize, size.1 as isize);

@@ -1,4 +1,5 @@
-//! Map files: OctoMap's `.ot` and `.bt`, point clouds, and the crate's own compact format.
+//! Map files: OctoMap's (`[OCTOMAP13]`) `.ot` and `.bt`, point clouds, and the crate's own compact
+//! format.
 
 pub(crate) mod bt;
 pub(crate) mod cloud;

@@ -1,8 +1,9 @@
 //! Inverse sensor models: how likely is a cell at `range` occupied, given a measured range?
 //!
 //! All are functions of the cell's range along the ray, the measured range `z` and the standard
-//! deviation `sigma` of that measurement, all in the same unit. References: Hull 2017 (thesis),
-//! chapter 5; corrections in the project's `docs` (Andert's base behind the obstacle is 1/2).
+//! deviation `sigma` of that measurement, all in the same unit. References: `[HULL17]` chapter 5,
+//! after `[THRUN05]` chapter 9 and `[ANDERT09]`; corrections in the project's `docs` (Andert's base
+//! behind the obstacle is 1/2).
 
 pub(crate) mod table;
 

@@ -92,9 +92,8 @@ impl PageMesh {
     }
 }
 
-/// One vertex for each cube of this edge, in the middle of those that lie in it (Rossignac and
-/// Borrel, *Multi-resolution 3D approximations for rendering complex scenes*, 1993), without
-/// normals; triangles within a cube are gone.
+/// One vertex for each cube of this edge, in the middle of those that lie in it (`[ROSSIGNAC93]`),
+/// without normals; triangles within a cube are gone.
 fn clustered(mesh: &ColouredMesh, edge: f64) -> ColouredMesh {
     let cube = |vertex: &[f32; 3]| vertex.map(|v| (f64::from(v) / edge).floor() as i64);
     let mut new_of_cube: HashMap<[i64; 3], u32> = HashMap::new();

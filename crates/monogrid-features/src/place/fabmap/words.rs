@@ -26,8 +26,7 @@ pub(super) fn majority<'a>(descriptors: impl IntoIterator<Item = &'a Descriptor>
 }
 
 /// Seeds of the clusters: each next descriptor is drawn in proportion to its squared distance to
-/// the nearest seed (Arthur and Vassilvitskii, k-means++, 2007). Fewer when there are fewer
-/// different ones.
+/// the nearest seed (k-means++, `[ARTHUR07]`). Fewer when there are fewer different ones.
 fn seeds(descriptors: &[Descriptor], count: usize, rng: &mut Rng) -> Vec<Descriptor> {
     if descriptors.is_empty() || count == 0 {
         return Vec::new();

@@ -207,7 +207,7 @@ impl Border {
             .then_some(plane)
     }
 
-    /// The candidate of the best score (Fischler and Bolles, 1981), fitted to them.
+    /// The candidate of the best score (`[FISCHLER81]`), fitted to them.
     fn best_plane(
         &self,
         seed: u64,
@@ -305,8 +305,8 @@ fn through(points: &[BorderPoint; 3]) -> Option<Plane> {
 }
 
 /// Weighted least squares. Points before the plane `side_of` weigh less than those behind it
-/// (`front_weight`; [NEWEY87]), but say as much about how certain it is. Neighbouring depths share
-/// their errors: `correlated_points` of them count as one in the covariance.
+/// (`front_weight`; `[NEWEY87]`), but say as much about how certain it is. Neighbouring depths
+/// share their errors: `correlated_points` of them count as one in the covariance.
 fn fitted(points: &[&BorderPoint], side_of: Option<&Plane>) -> Option<Plane> {
     let count = points.len() as f64;
     if points.len() < 3 {

@@ -1,4 +1,4 @@
-//! The rule `rays`: every measurement updates every cell that its ray crosses.
+//! The rule `rays`: every measurement updates every cell that its ray crosses (`[AW87]`).
 //!
 //! Flow: measurements -> rays in cell units (`beam`) -> in batches (`batches`), the rays' updates
 //! are handed to the shards of their bricks, and each shard takes them ray by ray in the order in

@@ -4,9 +4,8 @@
 //! While a run goes on a fragment is joined as soon as a few sightings agree. Here nobody waits, so
 //! all are known first: every keyframe is looked up in every other fragment, and what is found for
 //! two fragments is divided into sets of sightings that are consistent with each other pair by pair
-//! (Mangelson et al., *Pairwise consistent measurement set maximization*, ICRA 2018). The two
-//! fragments with the largest set are joined first; where they lie then decides what is consistent
-//! about the others.
+//! (`[MANGELSON18]`). The two fragments with the largest set are joined first; where they lie then
+//! decides what is consistent about the others.
 
 use super::KeyframeGraph;
 use super::constrain::MAX_LOOPS;
