@@ -14,6 +14,7 @@ use monogrid_mapping::{
     z_up_from_camera_world,
 };
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use std::path::{Path, PathBuf};
 
 /// What `--up` asks for.
@@ -83,10 +84,10 @@ pub struct MapFrame {
 }
 
 /// What an earlier run found out about up and the ground.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KnownGround {
-    /// How sure the scene was of up.
-    pub confidence: Option<f64>,
+    /// What z is.
+    pub up: UpSummary,
     /// The floor at z = 0.
     pub floor: Option<FloorSummary>,
     /// Or a level surface that is none.
@@ -119,6 +120,21 @@ impl UpSummary {
             is_certain,
         }
     }
+
+    /// As the summary of an earlier run says it: how the first camera was held stays what it was,
+    /// and so does a reference.
+    pub fn read(up: &Value) -> Self {
+        let from = match up["from"].as_str() {
+            Some("first-camera") => "first-camera",
+            Some("reference") => "reference",
+            _ => "earlier",
+        };
+        let read = Self::new(from, up["confidence"].as_f64());
+        Self {
+            is_certain: up["is_certain"].as_bool().unwrap_or(read.is_certain),
+            ..read
+        }
+    }
 }
 
 /// Confidence of the scene from which up is called certain: wrong ones had up to 0.46.
@@ -134,6 +150,16 @@ pub struct FloorSummary {
     /// Share of what was seen near the cameras that lies clearly below it.
     #[serde(default)]
     pub below: f64,
+}
+
+impl FloorSummary {
+    fn of(floor: &Floor) -> Self {
+        Self {
+            camera_height: floor.camera_height,
+            share: floor.share,
+            below: floor.below,
+        }
+    }
 }
 
 /// The keyframes and what is needed to look at the scene that they show.
@@ -179,7 +205,7 @@ impl Up {
         let mut known = |up: &Vec3, said, from| {
             let scene = scene();
             let floor = floor_below(&scene.views, up);
-            level(up, floor.as_ref(), said, from)
+            level(up, floor.as_ref(), said, (from, None))
         };
         match (self, sensed.up_in_world) {
             (Self::FirstCamera, _) => first_camera(),
@@ -195,7 +221,8 @@ impl Up {
                             true => "as the scene says",
                             false => "as the scene seems to say (uncertain)",
                         };
-                        level(&found.up_in_world, found.floor.as_ref(), said, "scene")
+                        let from = ("scene", Some(confidence));
+                        return level(&found.up_in_world, found.floor.as_ref(), said, from);
                     }
                     _ => uncertain(),
                 };
@@ -223,28 +250,37 @@ fn uncertain() -> MapFrame {
 }
 
 /// The frame with the floor, where there is one, at z = 0.
-fn level(up_in_world: &Vec3, floor: Option<&Floor>, said: &str, from: &'static str) -> MapFrame {
-    let origin = match floor {
+fn level(
+    up_in_world: &Vec3,
+    floor: Option<&Floor>,
+    said: &str,
+    (from, confidence): (&'static str, Option<f64>),
+) -> MapFrame {
+    let up = UpSummary::new(from, confidence);
+    let origin = origin(floor, up.is_certain);
+    let description = format!("z up {said}, x ahead of the first camera, {origin}");
+    let ground = floor.map(FloorSummary::of);
+    let is_floor = floor.is_some_and(Floor::is_floor);
+    let frame = MapFrame {
+        up,
+        ..MapFrame::new(level_from_world(up_in_world, floor), description, from)
+    };
+    frame.over(ground.filter(|_| is_floor), ground.filter(|_| !is_floor))
+}
+
+/// Where z = 0 is, for people.
+fn origin(floor: Option<&Floor>, is_up_certain: bool) -> &'static str {
+    match floor {
+        Some(_) if !is_up_certain => {
+            "z = 0 at the largest surface that is level if up is right (a guess), below the first \
+             keyframe (where up is uncertain, no floor is claimed)"
+        }
         Some(floor) if floor.is_floor() => "z = 0 at the floor, below the first keyframe",
         Some(_) => {
             "z = 0 at the largest level surface (a table?), below the first keyframe (no floor was \
              seen)"
         }
         None => "origin at the first keyframe (no floor was seen)",
-    };
-    let description = format!("z up {said}, x ahead of the first camera, {origin}");
-    let summary = |is_floor: bool| {
-        let floor = floor.filter(|floor| floor.is_floor() == is_floor)?;
-        Some(FloorSummary {
-            camera_height: floor.camera_height,
-            share: floor.share,
-            below: floor.below,
-        })
-    };
-    MapFrame {
-        floor: summary(true),
-        level_surface: summary(false),
-        ..MapFrame::new(level_from_world(up_in_world, floor), description, from)
     }
 }
 
@@ -323,12 +359,10 @@ impl Align {
             } => {
                 let frame = MapFrame {
                     is_aligned: *is_metric,
-                    up: UpSummary::new("earlier", ground.confidence),
-                    floor: ground.floor,
-                    level_surface: ground.level_surface,
-                    ..MapFrame::new(*map_from_world, description, "earlier")
+                    up: ground.up,
+                    ..MapFrame::new(*map_from_world, description, ground.up.from)
                 };
-                (frame, None)
+                (frame.over(ground.floor, ground.level_surface), None)
             }
             Self::Sim3 {
                 base,
@@ -370,15 +404,29 @@ impl MapFrame {
             level_surface: None,
         }
     }
+
+    /// The same frame, of which z = 0 is at a floor or at another level surface. Where up is
+    /// uncertain a wall may be taken for the floor: there no floor is claimed.
+    fn over(mut self, floor: Option<FloorSummary>, surface: Option<FloorSummary>) -> Self {
+        self.floor = floor.filter(|_| self.up.is_certain);
+        self.level_surface = surface.or(floor.filter(|_| !self.up.is_certain));
+        self
+    }
+
     /// The same frame with lengths in metres, of which a unit of the world has so many.
     fn in_metres(mut self, metres: f64) -> Self {
-        let scaled = Sim3::new(metres, Se3::identity().rotation, Vec3::zeros());
-        self.map_from_world = scaled * self.map_from_world;
         self.description += ", in metres by the inertial sensor";
         self.is_aligned = true;
+        self.scaled(metres)
+    }
+
+    /// The same frame with all lengths times `factor`.
+    fn scaled(mut self, factor: f64) -> Self {
+        let scaled = Sim3::new(factor, Se3::identity().rotation, Vec3::zeros());
+        self.map_from_world = scaled * self.map_from_world;
         let levels = [&mut self.floor, &mut self.level_surface];
         for level in levels.into_iter().flatten() {
-            level.camera_height *= metres;
+            level.camera_height *= factor;
         }
         self
     }
@@ -441,7 +489,8 @@ mod tests {
             share: 0.5,
             below,
         };
-        let frame = |below: f64| level(&-Vec3::y(), Some(&surface(below)), "as given", "given");
+        let given = ("given", None);
+        let frame = |below: f64| level(&-Vec3::y(), Some(&surface(below)), "as given", given);
         let (floor, table) = (frame(0.0005), frame(0.02));
         assert_eq!(floor.floor.map(|floor| floor.camera_height), Some(0.7));
         assert_eq!(floor.level_surface, None);
@@ -457,6 +506,26 @@ mod tests {
                 .map(|s| s.camera_height),
             Some(1.4)
         );
+    }
+
+    #[test]
+    fn no_floor_is_claimed_where_up_is_uncertain() {
+        let floor = Floor {
+            height: -0.8,
+            camera_height: 0.7,
+            share: 0.5,
+            below: 0.0,
+        };
+        let frame = |confidence: f64| {
+            let from = ("scene", Some(confidence));
+            level(&-Vec3::y(), Some(&floor), "as the scene says", from)
+        };
+        let (certain, guess) = (frame(0.6), frame(0.46));
+        assert!(certain.floor.is_some() && certain.level_surface.is_none());
+        assert_eq!(guess.floor, None);
+        assert_eq!(guess.level_surface.map(|s| s.camera_height), Some(0.7));
+        assert!(guess.description.contains("a guess"), "{guess:?}");
+        assert!(!guess.description.contains("z = 0 at the floor"));
     }
 
     #[test]

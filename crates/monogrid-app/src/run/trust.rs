@@ -84,16 +84,16 @@ fn of_places(summary: &Summary) -> [Doubt; 7] {
         ),
         (
             !summary.up.is_certain,
-            "up",
+            "up, and with it the floor",
             "hold the camera level while filming walls and floor, or give --up",
         ),
         (
-            summary.level_surface.is_some(),
+            summary.up.is_certain && summary.level_surface.is_some(),
             "the floor: z = 0 is the largest level surface, perhaps a table",
             "film the floor too",
         ),
         (
-            summary.floor.is_none() && summary.level_surface.is_none(),
+            summary.up.is_certain && summary.floor.is_none() && summary.level_surface.is_none(),
             "the floor, which was not seen",
             "film the floor too",
         ),

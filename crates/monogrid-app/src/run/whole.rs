@@ -218,6 +218,7 @@ fn ground(tracked: &Tracked, frame: &MapFrame) -> Ground {
     Ground {
         has_floor: frame.floor.is_some(),
         has_level_surface: frame.level_surface.is_some(),
+        is_up_certain: frame.up.is_certain,
         is_metric: is_metric(tracked, frame),
     }
 }

@@ -455,6 +455,13 @@ fn maps_are_cropped_merged_moved_compared_and_projected() {
         "summary.json",
         r#"{"scale": "metric", "floor": {"camera_height": 7}}"#,
     );
+    // a floor of a run that did not know what is up is none
+    folder.write(
+        "summary.json",
+        r#"{"scale": "metric", "up": {"is_certain": false}, "floor": {"camera_height": 7}}"#,
+    );
+    ok(&["project", &map, &pgm, "--force"]);
+    assert!(described().contains(" m (up is uncertain)"));
     let high = folder.path("high.pgm");
     let empty = ["project", &map, &high, "--min-height", "7"];
     assert_fails(&monogrid(empty), 2, &["no known cells"]);

@@ -208,6 +208,8 @@ pub struct Ground {
     pub has_floor: bool,
     /// Whether a level surface is at z = 0 that is no floor.
     pub has_level_surface: bool,
+    /// Whether up is certain: else there is no floor.
+    pub is_up_certain: bool,
     /// Whether lengths are metres.
     pub is_metric: bool,
 }
@@ -266,6 +268,7 @@ pub const UNKNOWN_SCALE_WARNING: &str = "# WARNING: the scale is unknown: resolu
 fn grid_note([low, high]: [f64; 2], ground: Ground) -> String {
     let over = match (ground.has_floor, ground.has_level_surface) {
         (true, _) => "over the floor",
+        _ if !ground.is_up_certain => "(up is uncertain: no floor is claimed, cells may be tilted)",
         (false, true) => {
             "(no floor was found: z = 0 is the largest level surface, perhaps a table)"
         }
@@ -288,13 +291,14 @@ mod tests {
         let unknown = Ground {
             has_floor: false,
             has_level_surface: false,
+            is_up_certain: true,
             is_metric: false,
         };
         assert!(grid_note([0.1, 1.0], unknown).contains("WARNING"));
         let metric = Ground {
             has_floor: true,
-            has_level_surface: false,
             is_metric: true,
+            ..unknown
         };
         let note = grid_note([0.1, 1.0], metric);
         assert!(!note.contains("WARNING") && note.contains("over the floor"));
@@ -303,6 +307,11 @@ mod tests {
             ..unknown
         };
         assert!(grid_note([0.1, 1.0], over_table).contains("table"));
+        let tilted = Ground {
+            is_up_certain: false,
+            ..over_table
+        };
+        assert!(grid_note([0.1, 1.0], tilted).contains("up is uncertain"));
         // all of it is comments for a reader of YAML
         assert!(
             grid_note([0.1, 1.0], unknown)

@@ -10,7 +10,7 @@ pub use stored::tracked_frame;
 
 use crate::input::Input;
 use crate::process::failure::{Classify, Failure};
-use crate::run::align::{Align, KnownGround};
+use crate::run::align::{Align, KnownGround, UpSummary};
 use monogrid_datasets::{
     Continuation, FragmentKeyframe, KeyframeLink, RecordedFrame, RecordedSession, SessionInfo,
     read_sim3, read_text,
@@ -141,7 +141,7 @@ pub fn frame_beside(recording: &Path) -> Result<Option<Align>, Failure> {
     let said = |key: &str| summary.get(key)?.as_str().map(str::to_owned);
     let level = |key: &str| serde_json::from_value(summary.get(key)?.clone()).ok();
     let ground = KnownGround {
-        confidence: summary["up"]["confidence"].as_f64(),
+        up: UpSummary::read(&summary["up"]),
         floor: level("floor"),
         level_surface: level("level_surface"),
     };
@@ -254,9 +254,22 @@ mod tests {
             r#"{"up": {"confidence": 0.3},
                 "floor": {"camera_height": 1.2, "share": 0.4, "below": 0.0}}"#,
         );
-        assert_eq!(floor.floor.map(|floor| floor.camera_height), Some(1.2));
         assert_eq!(floor.up.confidence, Some(0.3));
         assert!(!floor.up.is_certain);
+        // of an earlier version, which took a wall for the floor where up was uncertain
+        assert_eq!(floor.floor, None);
+        assert_eq!(
+            floor.level_surface.map(|floor| floor.camera_height),
+            Some(1.2)
+        );
+        let held = frame_of(r#"{"up": {"from": "first-camera", "is_certain": false}}"#);
+        assert_eq!((held.up.from, held.up.is_certain), ("first-camera", false));
+        let given = frame_of(
+            r#"{"up": {"from": "given", "is_certain": true},
+                "floor": {"camera_height": 1.2, "share": 0.4, "below": 0.0}}"#,
+        );
+        assert_eq!((given.up.from, given.up.is_certain), ("earlier", true));
+        assert_eq!(given.floor.map(|floor| floor.camera_height), Some(1.2));
         let table = frame_of(
             r#"{"up": {"confidence": 0.8}, "floor": null,
                 "level_surface": {"camera_height": 0.5, "share": 0.4, "below": 0.1}}"#,

@@ -192,10 +192,10 @@ pub struct Summary {
     pub frame: String,
     /// What z is in it.
     pub up: UpSummary,
-    /// The floor at z = 0; `null` where none was found or looked for.
+    /// The floor at z = 0; `null` where none was found or looked for, or up is uncertain.
     pub floor: Option<FloorSummary>,
-    /// The level surface at z = 0 that is no floor, since things lie below it: a table, perhaps;
-    /// `null` where there is none.
+    /// The level surface at z = 0 that is no floor, since things lie below it (a table, perhaps)
+    /// or up is uncertain (a wall, perhaps); `null` where there is none.
     pub level_surface: Option<FloorSummary>,
     /// What the inertial sensor beside the camera says; not there without one.
     #[serde(skip_serializing_if = "Option::is_none")]

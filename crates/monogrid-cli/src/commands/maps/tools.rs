@@ -298,6 +298,8 @@ struct RunBeside {
     /// the median height of the camera over the floor, which is at z = 0; `None` where neither is
     /// known.
     band: Option<[f64; 2]>,
+    /// Whether the run says that it does not know what is up.
+    is_up_uncertain: bool,
 }
 
 impl RunBeside {
@@ -306,20 +308,28 @@ impl RunBeside {
         let text = read_text(&path).unwrap_or_default();
         let summary: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
         let height = summary["floor"]["camera_height"].as_f64();
-        let height = height.filter(|height| height.is_finite() && *height > 0.0);
+        let is_up_uncertain = summary["up"]["is_certain"] == false;
+        let is_sound = |height: &f64| height.is_finite() && *height > 0.0 && !is_up_uncertain;
+        let height = height.filter(is_sound);
         let written = serde_json::from_value::<[f64; 2]>(summary["map"]["band"].clone()).ok();
         Self {
             is_metric: summary["scale"].as_str().map(|scale| scale == "metric"),
             band: written.or(height.map(|height| [0.1 * height, 1.1 * height])),
+            is_up_uncertain,
         }
     }
 
     /// What the description of the grid says to people, as comments.
     fn note(&self, [low, high]: [f64; 2]) -> String {
+        let of_up = match self.is_up_uncertain {
+            true => " (up is uncertain)",
+            false => "",
+        };
+        let heights = format!("# cells from z = {low:.3} to {high:.3}");
         match self.is_metric {
-            Some(true) => format!("# cells from z = {low:.3} to {high:.3} m\n"),
+            Some(true) => format!("{heights} m{of_up}\n"),
             Some(false) => {
-                format!("# cells from z = {low:.3} to {high:.3} map units\n{UNKNOWN_SCALE_WARNING}")
+                format!("{heights} map units{of_up}\n{UNKNOWN_SCALE_WARNING}")
             }
             None => "# WARNING: nothing beside the map says its unit; nav2 takes resolution and \
                 origin as metres\n"

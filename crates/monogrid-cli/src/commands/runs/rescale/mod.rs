@@ -12,7 +12,7 @@ use monogrid_app::args::{WriteArgs, positive};
 use monogrid_app::output::{Content, Inputs, OutputFolder};
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
 use monogrid_app::recorded::Recorded;
-use monogrid_app::run::align::{Align, Up};
+use monogrid_app::run::align::{Align, Up, UpSummary};
 use monogrid_app::run::outputs::{Ground, Surface, path_of, write_global};
 use monogrid_app::run::sessions::{MAP_FROM_WORLD, RECORDING, Source, files_of};
 use monogrid_datasets::{
@@ -95,10 +95,13 @@ pub fn execute(args: &RescaleArgs) -> CommandResult {
         )));
     }
     let map_from_world = read_sim3(&args.run.join(MAP_FROM_WORLD)).bad_input()?;
+    let is_up_certain = UpSummary::read(&summary["up"]).is_certain;
+    let camera_height = summary["floor"]["camera_height"].as_f64();
     let (factor, georeference) = args.scale_from.factor(&Results {
         recording: &recording,
         map_from_world,
-        camera_height: summary["floor"]["camera_height"].as_f64(),
+        camera_height: camera_height.filter(|_| is_up_certain),
+        is_up_certain,
         is_over_surface: !summary["level_surface"].is_null(),
         run: args.run.clone(),
     })?;
@@ -271,12 +274,14 @@ pub fn write_maps(
 ) -> Result<Value, Failure> {
     // the maps are built in the frame that stands beside the recording
     folder.write(SUMMARY, summary.to_string())?;
+    let recorded = Recorded::read(&folder.path().join(RECORDING), &Align::Level(Up::Scene))?;
+    let frame = &recorded.frame;
     let ground = Ground {
-        has_floor: !summary["floor"].is_null(),
-        has_level_surface: !summary["level_surface"].is_null(),
+        has_floor: frame.floor.is_some(),
+        has_level_surface: frame.level_surface.is_some(),
+        is_up_certain: frame.up.is_certain,
         is_metric: summary["scale"] == "metric",
     };
-    let recorded = Recorded::read(&folder.path().join(RECORDING), &Align::Level(Up::Scene))?;
     let config = recorded.config.clone().map(|config| config.mapping);
     let mut config = config.unwrap_or_default();
     config.resolution = resolution.unwrap_or(config.resolution);

@@ -44,6 +44,8 @@ pub struct Results<'a> {
     pub map_from_world: Sim3,
     /// Median height of the camera over the floor, map units, where a floor was found.
     pub camera_height: Option<f64>,
+    /// Whether up is certain: else there is no floor.
+    pub is_up_certain: bool,
     /// Whether a level surface was found that is no floor.
     pub is_over_surface: bool,
     /// Folder of the run.
@@ -89,6 +91,10 @@ impl ScaleFrom {
             Self::CameraHeight(metres) => {
                 let height = results.camera_height.ok_or_else(|| {
                     Failure::input(match results.is_over_surface {
+                        _ if !results.is_up_certain => {
+                            "camera-height: up is uncertain in this run, so that no floor is \
+                            claimed; use a distance, or run again with --up"
+                        }
                         true => {
                             "camera-height: found the largest level surface, below which \
                             things lie (a table?), expected a floor; use a distance"
