@@ -107,13 +107,17 @@ impl Recorded {
         let poses = self.world_from_keyframes();
         let map_from_world = &self.frame.map_from_world;
         let (mut map, stats) = mapper.build(scans, &poses, map_from_world)?;
+        mapper.free_body(&mut map, &self.paths())?;
+        Ok((map, stats, cell))
+    }
+
+    /// Where the camera was in all runs that made it, in the frame of maps.
+    pub fn paths(&self) -> Vec<Vec<[f64; 3]>> {
         let of_keyframe = |id: u32| {
             let found = self.keyframes.binary_search_by_key(&id, |k| k.id).ok()?;
             self.keyframes[found].world_from_keyframe.as_ref()
         };
-        let paths = camera_paths(&self.frames, of_keyframe, map_from_world);
-        mapper.free_body(&mut map, &paths)?;
-        Ok((map, stats, cell))
+        camera_paths(&self.frames, of_keyframe, &self.frame.map_from_world)
     }
 
     /// What of each keyframe is mapped.

@@ -54,6 +54,8 @@ pub enum Align {
         is_metric: bool,
         /// What that run found out about up and the ground.
         ground: KnownGround,
+        /// Whether the map has grown since, so that more may be found out about them.
+        has_grown: bool,
     },
     /// The frame of a trajectory, to which the estimated one is fitted.
     Trajectory {
@@ -135,10 +137,18 @@ impl UpSummary {
             ..read
         }
     }
+
+    /// Whether nobody asked for this up, and the scene was not sure of it.
+    fn is_guess(&self) -> bool {
+        !self.is_certain && self.confidence.is_some()
+    }
 }
 
 /// Confidence of the scene from which up is called certain: wrong ones had up to 0.46.
 const CERTAIN: f64 = 0.5;
+
+/// Heights within this share of that of the cameras are one level surface.
+const SAME_HEIGHT: f64 = 0.05;
 
 /// What was found out about the floor, as `summary.json` says it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -302,6 +312,15 @@ pub fn read_reference(path: &Path) -> Result<Vec<TimedPose>, Failure> {
 }
 
 impl Align {
+    /// The same, of a map that has grown since its frame was found.
+    #[must_use]
+    pub fn of_grown_map(mut self) -> Self {
+        if let Self::Map { has_grown, .. } = &mut self {
+            *has_grown = true;
+        }
+        self
+    }
+
     /// Reads what `gt:FILE` or `sim3:FILE` names, else what is up.
     pub fn parse(argument: Option<&str>, up: Up) -> Result<Self, Failure> {
         let Some(argument) = argument else {
@@ -356,13 +375,18 @@ impl Align {
                 description,
                 is_metric,
                 ground,
+                has_grown,
             } => {
                 let frame = MapFrame {
                     is_aligned: *is_metric,
                     up: ground.up,
                     ..MapFrame::new(*map_from_world, description, ground.up.from)
                 };
-                (frame.over(ground.floor, ground.level_surface), None)
+                let frame = frame.over(ground.floor, ground.level_surface);
+                match has_grown {
+                    true => frame.grown(scene),
+                    false => (frame, None),
+                }
             }
             Self::Sim3 {
                 base,
@@ -411,6 +435,68 @@ impl MapFrame {
         self.floor = floor.filter(|_| self.up.is_certain);
         self.level_surface = surface.or(floor.filter(|_| !self.up.is_certain));
         self
+    }
+
+    /// The frame of a map that has grown, and what is new about it. Where up is certain it stays,
+    /// and so does the floor; one that was not seen yet may be seen now. Where up was a guess, it
+    /// is looked for again.
+    fn grown<'a>(self, scene: &mut dyn FnMut() -> Scene<'a>) -> (Self, Option<String>) {
+        if self.up.is_guess() {
+            let again = Up::Scene.level_frame(&SensedFrame::default(), scene);
+            if !again.up.is_certain {
+                return (self, None);
+            }
+            let again = Self {
+                is_aligned: self.is_aligned,
+                ..again.scaled(self.map_from_world.scale)
+            };
+            let said = "the earlier run was not sure of up, this one is: the results have a frame \
+                        of their own";
+            return (again, Some(said.to_owned()));
+        }
+        if !self.up.is_certain || self.up.from == "reference" {
+            return (self, None);
+        }
+        let up = self.map_from_world.rotation.inverse() * Vec3::z();
+        match floor_below(&scene().views, &up) {
+            Some(found) => self.grown_over(&found),
+            None => (self, None),
+        }
+    }
+
+    /// The same with the level surface that is found now. At the height of the earlier one the
+    /// frame stays; a higher one is no floor, since that one lies below it.
+    fn grown_over(mut self, found: &Floor) -> (Self, Option<String>) {
+        let Sim3 {
+            scale, translation, ..
+        } = self.map_from_world;
+        let height = scale * found.height + translation.z;
+        let same = SAME_HEIGHT * scale * found.camera_height;
+        let is_known = self.floor.or(self.level_surface).is_some();
+        if is_known && height > same {
+            return (self, None);
+        }
+        let stays = is_known && height >= -same;
+        let mut said = None;
+        if !stays {
+            self.map_from_world.translation.z -= height;
+            self.description = format!(
+                "z up as in the earlier run, x ahead of its first camera, {}",
+                origin(Some(found), true)
+            );
+            said = Some(format!(
+                "the earlier run did not see the level surface that is at z = 0 now: heights are \
+                 {:.4} more than in its results",
+                -height
+            ));
+        }
+        let ground = FloorSummary {
+            camera_height: scale * found.camera_height + if stays { height } else { 0.0 },
+            ..FloorSummary::of(found)
+        };
+        let (is_floor, ground) = (found.is_floor(), Some(ground));
+        let frame = self.over(ground.filter(|_| is_floor), ground.filter(|_| !is_floor));
+        (frame, said)
     }
 
     /// The same frame with lengths in metres, of which a unit of the world has so many.
@@ -468,6 +554,9 @@ pub fn stamped_all(poses: &[TimedPose]) -> Vec<StampedPose> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use monogrid_geometry::{Pinhole, Rotation, Vec2};
+    use monogrid_mapping::{KeyframeCamera, KeyframeScan};
+    use monogrid_occupancy::DepthPixel;
 
     #[test]
     fn directions_and_words_say_what_is_up() {
@@ -526,6 +615,127 @@ mod tests {
         assert_eq!(guess.level_surface.map(|s| s.camera_height), Some(0.7));
         assert!(guess.description.contains("a guess"), "{guess:?}");
         assert!(!guess.description.contains("z = 0 at the floor"));
+    }
+
+    /// What cameras at a height of 1.4 see of a floor and of two walls, the world as the first of
+    /// them has it.
+    fn room() -> (Vec<KeyframeScan>, Vec<Sim3>) {
+        let camera = KeyframeCamera {
+            pinhole: Pinhole {
+                fx: 140.0,
+                fy: 140.0,
+                cx: 79.5,
+                cy: 59.5,
+            },
+            width: 160,
+            height: 120,
+        };
+        let level = z_up_from_camera_world().rotation;
+        let pose = |k: u32| {
+            let turn = Rotation::from_scaled_axis(Vec3::z() * 0.5 * f64::from(k));
+            let pitch = Rotation::from_scaled_axis(-Vec3::x() * 0.4);
+            Sim3::new(1.0, turn * level * pitch, Vec3::new(0.0, 0.0, 1.4))
+        };
+        let planes = [(Vec3::z(), 0.0), (-Vec3::x(), -3.0), (-Vec3::y(), -2.5)];
+        let scan = |k: u32| {
+            let pixels = (0..120_u16 * 160).step_by(2).filter_map(|at| {
+                let (x, y) = (at % 160, at / 160);
+                let ray = camera.pinhole.unproject(&Vec2::new(x.into(), y.into()));
+                let ray = pose(k).rotation * ray;
+                let hit = |(normal, offset): &(Vec3, f64)| {
+                    let (along, from) = (normal.dot(&ray), normal.dot(&pose(k).translation));
+                    (along < 0.0).then_some((offset - from) / along)
+                };
+                let depth = planes.iter().filter_map(hit).reduce(f64::min)?;
+                Some(DepthPixel {
+                    x,
+                    y,
+                    idepth: (1.0 / depth) as f32,
+                    sigma_idepth: (0.01 / depth) as f32,
+                })
+            });
+            KeyframeScan::of_measurements(k, camera, pixels.collect(), 0)
+        };
+        let world_from_room = pose(0).inverse();
+        let poses = (0..6).map(|k| world_from_room * pose(k)).collect();
+        ((0..6).map(scan).collect(), poses)
+    }
+
+    #[test]
+    fn a_map_that_grows_keeps_its_frame_and_finds_the_floor() {
+        let (scans, poses) = room();
+        let mut scene = || Scene {
+            views: (scans.iter().zip(&poses))
+                .map(|(scan, pose)| UprightView {
+                    scan,
+                    image: None,
+                    world_from_keyframe: *pose,
+                })
+                .collect(),
+        };
+        let unsensed = SensedFrame::default();
+        let whole = Align::Level(Up::Scene).frame(&[], &unsensed, &mut scene).0;
+        let height = whole.floor.expect("it is seen").camera_height;
+        assert!((height - 1.4).abs() < 0.02, "{whole:?}");
+
+        // the frame of half of the recording, `below` the floor and in other units
+        let half = |below: f64, up: UpSummary, floor: Option<FloorSummary>| {
+            let scaled = Sim3::new(2.0, Rotation::identity(), Vec3::z() * below);
+            Align::Map {
+                map_from_world: scaled * whole.map_from_world,
+                description: "of half".to_owned(),
+                is_metric: true,
+                ground: KnownGround {
+                    up,
+                    floor,
+                    level_surface: None,
+                },
+                has_grown: false,
+            }
+        };
+        let mut frame = |align: Align| align.frame(&[], &unsensed, &mut scene);
+        let certain = UpSummary::new("earlier", Some(0.6));
+        // no floor was seen: now one is
+        let (grown, said) = frame(half(-0.9, certain, None).of_grown_map());
+        assert!(said.is_some_and(|said| said.contains("0.9")), "{grown:?}");
+        let at = |frame: &MapFrame| frame.map_from_world.translation.z;
+        assert!((at(&grown) - 2.0 * at(&whole)).abs() < 0.01);
+        assert!((grown.floor.unwrap().camera_height - 2.8).abs() < 0.02);
+        assert_eq!((grown.up, grown.is_aligned), (certain, true));
+        // the map as it was
+        let (same, said) = frame(half(-0.9, certain, None));
+        assert_eq!((same.floor, said), (None, None));
+        // the floor was seen: the frame stays, and the height of the cameras is that of all
+        let floor = Some(FloorSummary {
+            camera_height: 1.0,
+            share: 0.5,
+            below: 0.0,
+        });
+        let (kept, said) = frame(half(0.05, certain, floor).of_grown_map());
+        assert_eq!(said, None);
+        assert_eq!(kept.description, "of half");
+        assert!((kept.floor.unwrap().camera_height - 2.85).abs() < 0.02);
+        // a floor far below what is seen now stays
+        let (kept, _) = frame(half(0.9, certain, floor).of_grown_map());
+        assert_eq!(kept.floor, floor);
+        // up was a guess: it is found, in the units of the map
+        let guess = UpSummary::new("earlier", Some(0.3));
+        let askew = Sim3::new(2.0, Rotation::from_scaled_axis(Vec3::x()), Vec3::zeros());
+        let mut align = half(0.0, guess, None);
+        if let Align::Map { map_from_world, .. } = &mut align {
+            *map_from_world = askew * *map_from_world;
+        }
+        let (found, said) = frame(align.of_grown_map());
+        assert!(said.is_some() && found.up.is_certain && found.is_aligned);
+        assert!((found.map_from_world.scale - whole.map_from_world.scale * 4.0).abs() < 1e-9);
+        assert!((found.floor.unwrap().camera_height - 5.6).abs() < 0.1);
+        // what was asked for stays
+        for from in ["first-camera", "reference"] {
+            let asked = UpSummary::new(from, None);
+            let (kept, said) = frame(half(-0.9, asked, None).of_grown_map());
+            assert_eq!((kept.description.as_str(), said), ("of half", None));
+            assert_eq!(kept.floor, None);
+        }
     }
 
     #[test]

@@ -25,7 +25,8 @@ use monogrid_datasets::TimedPose;
 use monogrid_evaluation::{DepthReport, MapReport};
 use monogrid_geometry::{Pinhole, Se3, Sim3, Vec3};
 use monogrid_mapping::{
-    ImageOf, KeyframeCamera, KeyframeScan, Maps, MeshConfig, SceneCell, UprightView, scene_cell,
+    ImageOf, KeyframeCamera, KeyframeScan, Maps, MeshConfig, SceneCell, UprightView, camera_paths,
+    scene_cell,
 };
 use monogrid_pipeline::attempt;
 use monogrid_report::colours::Colours;
@@ -116,7 +117,8 @@ fn run_watched(
         Err(error) => (None, Some(error)),
     };
     let seen = (shown.as_slice(), &colours, &cell_colours);
-    let surface = (seen, &mapping.mesh, ground(&tracked, &looked.frame));
+    let ground = ground(&tracked, &looked.frame, &paths.path, settings);
+    let surface = (seen, &mapping.mesh, ground);
     let write = |maps| write_maps(&tracked, folder, maps, &paths, surface);
     let pictures = maps.as_ref().map(write).transpose()?;
     talk::doing("the map is judged");
@@ -140,7 +142,7 @@ fn run_watched(
         pictures,
         config: &config,
     };
-    play(folder, &report, settings, &tracked, &poses)?;
+    play(folder, &report, (settings, &tracked), &poses, ground)?;
     folder.write_with("report.html", |out| write_page(out, &tracked, &report))?;
     write_summary(folder, &mut summary)?;
     Ok(Finished {
@@ -195,9 +197,9 @@ fn write_summary(folder: &OutputFolder, summary: &mut Summary) -> Result<(), Fai
 fn play(
     folder: &OutputFolder,
     report: &ReportInput,
-    settings: &RunSettings,
-    tracked: &Tracked,
+    (settings, tracked): (&RunSettings, &Tracked),
     poses: &[TimedPose],
+    ground: Ground,
 ) -> Result<(), Failure> {
     talk::doing("the report is written");
     leave_room(tracked, settings.memory_limit);
@@ -209,16 +211,25 @@ fn play(
         keyframes: report.keyframes,
         colours: report.colours,
         map: report.map,
-        ground: ground(tracked, report.frame),
+        ground,
     };
     folder.write_beside(file, |out| Ok(playback.write(out)?))
 }
 
-fn ground(tracked: &Tracked, frame: &MapFrame) -> Ground {
+fn ground(
+    tracked: &Tracked,
+    frame: &MapFrame,
+    path: &[[f64; 3]],
+    settings: &RunSettings,
+) -> Ground {
+    let earlier = frames_of_earlier(settings);
+    let known = |id: u32| tracked.run.poses.in_main_map(id);
+    let earlier = camera_paths(&earlier, known, &frame.map_from_world);
     Ground {
         has_floor: frame.floor.is_some(),
         has_level_surface: frame.level_surface.is_some(),
         is_up_certain: frame.up.is_certain,
+        cameras: outputs::lowest_and_highest(earlier.iter().flatten().chain(path)),
         is_metric: is_metric(tracked, frame),
     }
 }
@@ -502,8 +513,7 @@ fn final_maps(
     let before = process_cpu();
     leave_room(tracked, settings.memory_limit);
     let camera = path.last().map(|point| Vec3::from(*point));
-    let frames = settings.earlier().into_iter().flat_map(|e| &e.frames);
-    let frames: Vec<TrackedFrame> = frames.map(tracked_frame).collect();
+    let frames = frames_of_earlier(settings);
     let edge = looked.cell.map(|cell| cell.edge);
     let run = &mut tracked.run;
     let what = ("final maps", "keyframes", scans.len());
@@ -516,6 +526,12 @@ fn final_maps(
     leave_room(tracked, settings.memory_limit);
     tracked.cpu.mapping += process_cpu() - before;
     maps.map_err(|error| error.to_string())
+}
+
+/// Frames of the runs that this one goes on with.
+fn frames_of_earlier(settings: &RunSettings) -> Vec<TrackedFrame> {
+    let frames = settings.earlier().into_iter().flat_map(|e| &e.frames);
+    frames.map(tracked_frame).collect()
 }
 
 fn early_failure(tracked: &Tracked) -> Option<String> {

@@ -210,8 +210,18 @@ pub struct Ground {
     pub has_level_surface: bool,
     /// Whether up is certain: else there is no floor.
     pub is_up_certain: bool,
+    /// Lowest and highest camera of all runs that made the map.
+    pub cameras: [f64; 2],
     /// Whether lengths are metres.
     pub is_metric: bool,
+}
+
+/// The lowest and the highest of these places.
+pub fn lowest_and_highest<'a>(places: impl Iterator<Item = &'a [f64; 3]>) -> [f64; 2] {
+    let first = [f64::INFINITY, f64::NEG_INFINITY];
+    places.fold(first, |[low, high], place| {
+        [low.min(place[2]), high.max(place[2])]
+    })
 }
 
 /// Writes the map seen from above for robots and for people.
@@ -223,7 +233,7 @@ fn write_grid(
     ground: Ground,
 ) -> Result<Option<PagePlan>, Failure> {
     let heights = cubes.iter().map(|cube| cube.center[2]);
-    let Some((grid, band)) = seen_from_above(map, heights, path, ground) else {
+    let Some((grid, band)) = seen_from_above(map, heights, ground) else {
         return Ok(None);
     };
     folder.write("map.pgm", grid.to_pgm())?;
@@ -245,11 +255,12 @@ fn write_grid(
 pub fn seen_from_above(
     map: &OccupancyMap,
     heights: impl Iterator<Item = f64>,
-    path: &[[f64; 3]],
     ground: Ground,
 ) -> Option<(Projection, [f64; 2])> {
     let mut occupied: Vec<f64> = heights.collect();
-    let cameras: Vec<f64> = path.iter().map(|p| p[2]).collect();
+    // none where nothing has a pose
+    let cameras = ground.cameras.into_iter().filter(|z| z.is_finite());
+    let cameras: Vec<f64> = cameras.collect();
     let band = navigation_band(&mut occupied, &cameras, ground.has_floor);
     match map.projected(band[0], band[1]) {
         Ok(grid) => grid.map(|grid| (grid, band)),
@@ -285,6 +296,26 @@ fn grid_note([low, high]: [f64; 2], ground: Ground) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use monogrid_occupancy::MapConfig;
+
+    #[test]
+    fn the_band_is_that_of_the_cameras_of_all_runs() {
+        let (earlier, path) = ([[0.0, 0.0, 2.0]], [[0.0, 0.0, 1.0], [0.0, 0.0, 0.5]]);
+        let cameras = lowest_and_highest(earlier.iter().chain(&path));
+        assert_eq!(cameras, [0.5, 2.0]);
+        let ground = Ground {
+            has_floor: true,
+            has_level_surface: false,
+            is_up_certain: true,
+            cameras,
+            is_metric: true,
+        };
+        let mut map = OccupancyMap::new(MapConfig::with_resolution(0.1)).unwrap();
+        let key = VoxelKey::new(1, 2, 10);
+        map.set_log_odds(key, Some(2.0)).unwrap();
+        let (_, band) = seen_from_above(&map, std::iter::empty(), ground).unwrap();
+        assert!((band[0] - 0.2).abs() < 1e-12 && (band[1] - 2.2).abs() < 1e-12);
+    }
 
     #[test]
     fn a_grid_of_unknown_scale_warns_whoever_reads_it() {
@@ -292,6 +323,7 @@ mod tests {
             has_floor: false,
             has_level_surface: false,
             is_up_certain: true,
+            cameras: [0.1, 1.0],
             is_metric: false,
         };
         assert!(grid_note([0.1, 1.0], unknown).contains("WARNING"));

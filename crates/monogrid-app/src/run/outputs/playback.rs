@@ -86,8 +86,7 @@ impl Playback<'_> {
         let cells = cloud_of(header.clone(), "intensity", points_of_cells(map));
         writer.write("/map/cells", time_ns, &cells)?;
         let heights = points_of_cells(map).map(|[_, _, z, _]| f64::from(z));
-        let cameras = super::path_of(self.poses);
-        if let Some((grid, _)) = seen_from_above(map, heights, &cameras, self.ground) {
+        if let Some((grid, _)) = seen_from_above(map, heights, self.ground) {
             let grid = grid_of(header.clone(), header.stamp, &grid);
             writer.write("/map/grid", time_ns, &grid)?;
         }

@@ -150,6 +150,7 @@ pub fn frame_beside(recording: &Path) -> Result<Option<Align>, Failure> {
         description: said("frame").unwrap_or_else(|| "the frame of the run".to_owned()),
         is_metric: said("scale").as_deref() == Some("metric"),
         ground,
+        has_grown: false,
     }))
 }
 

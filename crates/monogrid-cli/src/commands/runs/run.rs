@@ -267,7 +267,11 @@ fn alignment(args: &RunArgs, earlier: Option<&Earlier>) -> Result<Align, Failure
         return Ok(align);
     };
     let known = earlier.frame.clone();
-    Ok(align.in_known_frame(known.unwrap_or(Align::Level(Up::FirstCamera))))
+    let known = known.unwrap_or(Align::Level(Up::FirstCamera));
+    Ok(align.in_known_frame(match args.localise_only {
+        true => known,
+        false => known.of_grown_map(),
+    }))
 }
 
 /// The source, with images of the size of the continued run; a camera that nobody gave is refined.

@@ -13,7 +13,7 @@ use monogrid_app::output::{Content, Inputs, OutputFolder};
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
 use monogrid_app::recorded::Recorded;
 use monogrid_app::run::align::{Align, Up, UpSummary};
-use monogrid_app::run::outputs::{Ground, Surface, path_of, write_global};
+use monogrid_app::run::outputs::{Ground, Surface, lowest_and_highest, path_of, write_global};
 use monogrid_app::run::sessions::{MAP_FROM_WORLD, RECORDING, Source, files_of};
 use monogrid_datasets::{
     ColourRecord, DepthRevision, KeyframeRecord, PoseSnapshot, Record, RecordedCamera,
@@ -280,6 +280,7 @@ pub fn write_maps(
         has_floor: frame.floor.is_some(),
         has_level_surface: frame.level_surface.is_some(),
         is_up_certain: frame.up.is_certain,
+        cameras: lowest_and_highest(recorded.paths().iter().flatten().chain(path)),
         is_metric: summary["scale"] == "metric",
     };
     let config = recorded.config.clone().map(|config| config.mapping);
