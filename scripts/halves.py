@@ -4,7 +4,7 @@
     scripts/halves.py PROGRAM [FOLDER ...]      folders in TUM layout; default: worlds, and those of MONOGRID_DATA
 
 Each recording is run whole, and its second half with `--continue` after its first half. Both are rescaled by the height
-of the camera (1.5 m), and seen from above. Said are up and floor of the first half, of both halves and of the whole, the
+of the camera (1.5 m over the floor or level surface, where there is one), and seen from above. Said are up and floor of the first half, of both halves and of the whole, the
 height band of the three maps that `run`, `rescale` and `project` write, and by how many cells of 0.05 m the bands of
 both halves differ from those of the whole. Needs numpy.
 """
@@ -66,8 +66,10 @@ def band_of_grid(yaml):
 
 def bands(program, run):
     """The band that `rescale` writes, in metres, and that of `project` of it; those of the run itself, times the factor."""
-    metric = run.with_name(run.name + "-metric")
-    if call(program, "rescale", run, "--scale-from", "camera-height=1.5m", "--out", metric, "--force") != 0:
+    metric, of = run.with_name(run.name + "-metric"), summary(run)
+    height = ((of.get("floor") or of.get("level_surface")) or {}).get("camera_height")
+    scale = "camera-height=1.5m" if of.get("floor") else f"factor={1.5 / height}" if height else "factor=1"
+    if call(program, "rescale", run, "--scale-from", scale, "--out", metric, "--force") != 0:
         return None
     of = summary(metric)
     factor, own = of["metres_per_map_unit"], summary(run)["map"]["band"]
