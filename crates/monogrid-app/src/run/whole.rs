@@ -101,15 +101,15 @@ fn run_watched(
     outputs::write_tables(folder, &tracked, &looked.frame, &poses, settings)?;
     outputs::write_bridged(folder, &looked.sensed.bridged, &looked.frame)?;
     let paths = outputs::Paths::new(&poses, &tracked, &looked.frame);
+    let ground = ground(&tracked, &looked.frame, &paths.path, settings);
     let posed = posed_keyframes(&tracked, &looked.frame);
     let shown = shown_keyframes(&posed, &scans, tracked.run.slam.pinhole());
     let colours = Colours::read(&folder.path().join(RECORDING))?;
-    let unit = unit_name(is_metric(&tracked, &looked.frame));
     let mapping = &settings.config.mapping;
     let edge = looked.cell.map_or(mapping.resolution, |cell| cell.edge);
     let (cell_colours, written) = rayon::join(
         || CellColours::new(&coloured_scans(&posed, &scans), &colours, edge),
-        || outputs::write_cloud(folder, &shown, &colours, unit),
+        || outputs::write_cloud(folder, &shown, &colours, unit_name(ground.is_metric)),
     );
     written?;
     let (maps, failure) = match final_maps(&mut tracked, scans, &looked, &paths.path, settings) {
@@ -117,7 +117,6 @@ fn run_watched(
         Err(error) => (None, Some(error)),
     };
     let seen = (shown.as_slice(), &colours, &cell_colours);
-    let ground = ground(&tracked, &looked.frame, &paths.path, settings);
     let surface = (seen, &mapping.mesh, ground);
     let write = |maps| write_maps(&tracked, folder, maps, &paths, surface);
     let pictures = maps.as_ref().map(write).transpose()?;
