@@ -661,8 +661,8 @@ mod tests {
         ((0..6).map(scan).collect(), poses)
     }
 
-    #[test]
-    fn a_map_that_grows_keeps_its_frame_and_finds_the_floor() {
+    /// The frame that is found for the room.
+    fn frame_of_room(align: Align) -> (MapFrame, Option<String>) {
         let (scans, poses) = room();
         let mut scene = || Scene {
             views: (scans.iter().zip(&poses))
@@ -673,37 +673,42 @@ mod tests {
                 })
                 .collect(),
         };
-        let unsensed = SensedFrame::default();
-        let whole = Align::Level(Up::Scene).frame(&[], &unsensed, &mut scene).0;
+        align.frame(&[], &SensedFrame::default(), &mut scene)
+    }
+
+    /// A frame of half of the recording: that of the whole, in other units and turned about the
+    /// first axis, with its origin so far below the floor.
+    fn half(below: f64, turned: f64, up: UpSummary, floor: Option<FloorSummary>) -> Align {
+        let whole = frame_of_room(Align::Level(Up::Scene)).0;
+        let turn = Rotation::from_scaled_axis(Vec3::x() * turned);
+        Align::Map {
+            map_from_world: Sim3::new(2.0, turn, Vec3::z() * below) * whole.map_from_world,
+            description: "of half".to_owned(),
+            is_metric: true,
+            ground: KnownGround {
+                up,
+                floor,
+                level_surface: None,
+            },
+            has_grown: false,
+        }
+    }
+
+    #[test]
+    fn a_map_that_grows_keeps_its_frame_and_finds_the_floor() {
+        let whole = frame_of_room(Align::Level(Up::Scene)).0;
         let height = whole.floor.expect("it is seen").camera_height;
         assert!((height - 1.4).abs() < 0.02, "{whole:?}");
-
-        // the frame of half of the recording, `below` the floor and in other units
-        let half = |below: f64, up: UpSummary, floor: Option<FloorSummary>| {
-            let scaled = Sim3::new(2.0, Rotation::identity(), Vec3::z() * below);
-            Align::Map {
-                map_from_world: scaled * whole.map_from_world,
-                description: "of half".to_owned(),
-                is_metric: true,
-                ground: KnownGround {
-                    up,
-                    floor,
-                    level_surface: None,
-                },
-                has_grown: false,
-            }
-        };
-        let mut frame = |align: Align| align.frame(&[], &unsensed, &mut scene);
         let certain = UpSummary::new("earlier", Some(0.6));
         // no floor was seen: now one is
-        let (grown, said) = frame(half(-0.9, certain, None).of_grown_map());
+        let (grown, said) = frame_of_room(half(-0.9, 0.0, certain, None).of_grown_map());
         assert!(said.is_some_and(|said| said.contains("0.9")), "{grown:?}");
         let at = |frame: &MapFrame| frame.map_from_world.translation.z;
         assert!((at(&grown) - 2.0 * at(&whole)).abs() < 0.01);
         assert!((grown.floor.unwrap().camera_height - 2.8).abs() < 0.02);
         assert_eq!((grown.up, grown.is_aligned), (certain, true));
         // the map as it was
-        let (same, said) = frame(half(-0.9, certain, None));
+        let (same, said) = frame_of_room(half(-0.9, 0.0, certain, None));
         assert_eq!((same.floor, said), (None, None));
         // the floor was seen: the frame stays, and the height of the cameras is that of all
         let floor = Some(FloorSummary {
@@ -711,28 +716,28 @@ mod tests {
             share: 0.5,
             below: 0.0,
         });
-        let (kept, said) = frame(half(0.05, certain, floor).of_grown_map());
+        let (kept, said) = frame_of_room(half(0.05, 0.0, certain, floor).of_grown_map());
         assert_eq!(said, None);
         assert_eq!(kept.description, "of half");
         assert!((kept.floor.unwrap().camera_height - 2.85).abs() < 0.02);
         // a floor far below what is seen now stays
-        let (kept, _) = frame(half(0.9, certain, floor).of_grown_map());
+        let (kept, _) = frame_of_room(half(0.9, 0.0, certain, floor).of_grown_map());
         assert_eq!(kept.floor, floor);
-        // up was a guess: it is found, in the units of the map
+    }
+
+    #[test]
+    fn a_map_that_grows_finds_an_up_that_was_a_guess_and_no_other() {
         let guess = UpSummary::new("earlier", Some(0.3));
-        let askew = Sim3::new(2.0, Rotation::from_scaled_axis(Vec3::x()), Vec3::zeros());
-        let mut align = half(0.0, guess, None);
-        if let Align::Map { map_from_world, .. } = &mut align {
-            *map_from_world = askew * *map_from_world;
-        }
-        let (found, said) = frame(align.of_grown_map());
+        let (found, said) = frame_of_room(half(0.0, 1.0, guess, None).of_grown_map());
         assert!(said.is_some() && found.up.is_certain && found.is_aligned);
-        assert!((found.map_from_world.scale - whole.map_from_world.scale * 4.0).abs() < 1e-9);
-        assert!((found.floor.unwrap().camera_height - 5.6).abs() < 0.1);
+        // in the units of the map
+        let whole = frame_of_room(Align::Level(Up::Scene)).0;
+        assert!((found.map_from_world.scale - whole.map_from_world.scale * 2.0).abs() < 1e-9);
+        assert!((found.floor.unwrap().camera_height - 2.8).abs() < 0.05);
         // what was asked for stays
         for from in ["first-camera", "reference"] {
             let asked = UpSummary::new(from, None);
-            let (kept, said) = frame(half(-0.9, asked, None).of_grown_map());
+            let (kept, said) = frame_of_room(half(-0.9, 0.0, asked, None).of_grown_map());
             assert_eq!((kept.description.as_str(), said), ("of half", None));
             assert_eq!(kept.floor, None);
         }
