@@ -17,11 +17,15 @@ pub use evidence::UprightView;
 pub use floor::Floor;
 
 use evidence::Evidence;
+use monogrid_geometry::median::median;
 use monogrid_geometry::nalgebra::{Matrix3, Rotation3};
 use monogrid_geometry::{Rotation, Sim3, Vec3};
 
 /// Least confidence at which the scene, and not the first camera, says what is up.
 pub const MIN_UP_CONFIDENCE: f64 = 0.2;
+
+/// Directions within this angle are one up, degrees.
+const SAME_UP_DEG: f64 = 8.0;
 
 /// What is up.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,11 +49,22 @@ pub fn upright(views: &[UprightView]) -> Option<Upright> {
     Some(upright)
 }
 
-/// The floor for an up that is known otherwise.
+/// The floor for an up that is known otherwise. Where the scene votes for nearly the same up, level
+/// planes are told by that: an up that is off by degrees takes the far end of a floor for another.
 #[must_use]
 pub fn floor_below(views: &[UprightView], up_in_world: &Vec3) -> Option<Floor> {
     let evidence = Evidence::of(views);
-    floor::floor(views, &evidence, &up_in_world.normalize())
+    let up = up_in_world.normalize();
+    let is_same = |voted: &Vec3| voted.dot(&up) > SAME_UP_DEG.to_radians().cos();
+    let voted = vote::vote(&evidence).map(|upright| upright.up_in_world);
+    let level_up = voted.filter(is_same).unwrap_or(up);
+    let found = floor::floor(views, &evidence, &level_up)?;
+    let heights = evidence.poses.iter().map(|pose| pose.translation.dot(&up));
+    let camera = median(&mut heights.collect::<Vec<f64>>())?;
+    Some(Floor {
+        height: camera - found.camera_height,
+        ..found
+    })
 }
 
 /// The frame with z along `up_in_world`, x ahead of the first camera (which the world is the frame

@@ -92,6 +92,18 @@ fn room_from_cameras(count: usize, pitch_deg: f64, roll_deg: f64) -> Vec<Sim3> {
 
 /// What is found when the first camera is the frame of the world, and up as it is.
 fn found(room: &Room, room_from_cameras: &[Sim3], scale: f64) -> (Upright, Vec3) {
+    seen(room, room_from_cameras, scale, |views| {
+        upright(views).unwrap()
+    })
+}
+
+/// What is found in views of a room, whose world has units of `scale`, and the true up there.
+fn seen<T>(
+    room: &Room,
+    room_from_cameras: &[Sim3],
+    scale: f64,
+    find: impl Fn(&[UprightView]) -> T,
+) -> (T, Vec3) {
     let first = &room_from_cameras[0];
     let scaled = Sim3::new(1.0 / scale, Rotation::identity(), Vec3::zeros());
     let world_from_room = scaled * first.inverse();
@@ -108,8 +120,7 @@ fn found(room: &Room, room_from_cameras: &[Sim3], scale: f64) -> (Upright, Vec3)
             world_from_keyframe: world_from_room * *pose,
         })
         .collect();
-    let found = upright(&views).unwrap();
-    (found, first.rotation.inverse() * Vec3::z())
+    (find(&views), first.rotation.inverse() * Vec3::z())
 }
 
 fn angle_deg(a: &Vec3, b: &Vec3) -> f64 {
@@ -137,6 +148,22 @@ fn a_room_is_level_however_it_was_entered() {
         assert!((floor.camera_height * 2.5 - 1.4).abs() < 0.03, "{floor:?}");
         // the origin is the first camera
         assert!((floor.height * 2.5 + 1.4).abs() < 0.03, "{floor:?}");
+    }
+}
+
+#[test]
+fn a_floor_is_level_although_the_up_that_is_known_is_off_by_degrees() {
+    let cameras = room_from_cameras(8, 20.0, 3.0);
+    let (_, up) = found(&room(None), &cameras, 2.5);
+    for tilt_deg in [0.0_f64, 3.0, 6.0] {
+        let tilt = Rotation::from_scaled_axis(Vec3::z() * tilt_deg.to_radians());
+        let floor = |views: &[UprightView]| floor_below(views, &(tilt * up)).unwrap();
+        let (floor, _) = seen(&room(None), &cameras, 2.5, floor);
+        // the cameras are at 1.4 m, and the first is the origin of the world
+        let [height, camera_height] = [floor.height, floor.camera_height].map(|h| 2.5 * h);
+        assert!((camera_height - 1.4).abs() < 0.02, "{tilt_deg}: {floor:?}");
+        assert!((height + 1.4).abs() < 0.03, "{tilt_deg}: {floor:?}");
+        assert!(floor.share > 0.9, "{tilt_deg}: {floor:?}");
     }
 }
 
