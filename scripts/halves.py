@@ -3,10 +3,10 @@
 
     scripts/halves.py PROGRAM [FOLDER ...]      folders in TUM layout; default: worlds, and those of MONOGRID_DATA
 
-Each recording is run whole, and its second half with `--continue` after its first half. Both are rescaled by the height
-of the camera (1.5 m over the floor or level surface, where there is one), and seen from above. Said are up and floor of the first half, of both halves and of the whole, the
-height band of the three maps that `run`, `rescale` and `project` write, and by how many cells of 0.05 m the bands of
-both halves differ from those of the whole. Needs numpy.
+Each recording is run whole, and its second half with `--continue` after its first half. Both are rescaled by the
+height of the camera (1.5 m over the floor or level surface, where there is one), and seen from above. Printed are up
+and floor of the first half, of both halves and of the whole, the height bands of the whole as `run`, `rescale` and
+`project` write them, and by how many cells of 0.05 m those of both halves differ from them. Needs numpy.
 """
 import json
 import os
