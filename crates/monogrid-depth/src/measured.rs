@@ -15,7 +15,7 @@ const SAME_SURFACE_RATIO: f32 = 1.08;
 /// A surface has moved where another was seen at this multiple of its depth: errors of the pose and
 /// of matches at edges stay below it.
 const MOVED_RATIO: f32 = 1.15;
-/// The same in standard deviations of one measurement.
+/// Least distance of the two inverse depths, standard deviations of one measurement.
 const MOVED_SIGMAS: f32 = 6.0;
 /// How much larger the standard deviation of a pixel beside an edge is.
 const EDGE_FACTOR: f32 = 10.0;

@@ -21,7 +21,7 @@ const MISPLACED_PX: f32 = 0.15;
 /// Largest squared difference of two patches with the same content, multiples of the variance of
 /// the noise: three standard deviations above the mean of chi squared with four degrees of freedom.
 const MAX_NOISE: f32 = 12.5;
-/// The same of what comes from a wrong place, multiples of its variance: three sigma.
+/// Largest squared difference by a wrong place, multiples of its variance: three sigma.
 const MAX_MISPLACED: f32 = 9.0;
 /// Validity lost by a patch that contradicts: one in five of a surface that stands still may.
 const CONTRADICTION_LOSS: u8 = 20;

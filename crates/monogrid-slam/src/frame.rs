@@ -83,17 +83,16 @@ impl Frame {
     }
 
     /// This frame, tracked on `keyframe`, without the measured depth of surfaces that stand where
-    /// earlier keyframes saw something farther away: they have moved there.
+    /// earlier keyframes saw something farther away: they have moved there. `None` where no depth
+    /// was measured, or in no metres.
     pub(crate) fn without_moving(
         &self,
         map: &Map,
         keyframe: KeyframeId,
         frame_from_keyframe: &Se3,
         pinhole: Pinhole,
-    ) -> Self {
-        let (Some(measured), Some(metres)) = (self.measured.clone(), map.metres(keyframe)) else {
-            return self.clone();
-        };
+    ) -> Option<Self> {
+        let (measured, metres) = (self.measured.clone()?, map.metres(keyframe)?);
         let parent = &map[keyframe];
         let recent = map.recent_in(parent.fragment);
         let earlier = recent.iter().rev().filter_map(|id| {
@@ -114,10 +113,10 @@ impl Frame {
             }
             still
         };
-        Self {
+        Some(Self {
             measured: Some(Arc::new(LazyLock::new(Box::new(still)))),
             ..self.clone()
-        }
+        })
     }
 }
 
@@ -199,7 +198,7 @@ mod tests {
         let newest = map.newest().unwrap().id;
         let frame_from_keyframe = Se3::new(Rotation::identity(), Vec3::new(-0.15, 0.0, 0.0));
         let frame = frame.without_moving(map, newest, &frame_from_keyframe, PINHOLE);
-        let still = frame.measured.unwrap().still(&mask);
+        let still = frame.unwrap().measured.unwrap().still(&mask);
         (0..32).filter(|x| still.at(*x, 16) == 0).collect()
     }
 

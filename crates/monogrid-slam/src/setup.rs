@@ -106,16 +106,17 @@ impl Setup {
 
     /// An image as depth needs it; `None` for sizes the depth filter cannot work with.
     pub(crate) fn host(&self, image: GrayImage) -> Option<Arc<HostFrame>> {
-        HostFrame::new(image, self.mask.clone(), self.pinhole).map(Arc::new)
+        self.host_without_moving(image, None)
     }
 
-    /// A frame as depth needs it: without what is known to move in it.
-    pub(crate) fn host_of(&self, frame: &Frame) -> Option<Arc<HostFrame>> {
-        let mask = match &frame.measured {
-            Some(measured) => measured.still(&self.mask),
-            None => self.mask.clone(),
-        };
-        HostFrame::new(frame.image().clone(), mask, self.pinhole).map(Arc::new)
+    /// As [`Self::host`], without the pixels in which something moves by what was measured.
+    pub(crate) fn host_without_moving(
+        &self,
+        image: GrayImage,
+        measured: Option<&MeasuredDepth>,
+    ) -> Option<Arc<HostFrame>> {
+        let mask = measured.map_or_else(|| self.mask.clone(), |depth| depth.still(&self.mask));
+        HostFrame::new(image, mask, self.pinhole).map(Arc::new)
     }
 
     /// How the camera turned from one frame to another by the gyroscope, whose bias does not matter

@@ -132,15 +132,13 @@ impl Slam {
     fn change_keyframe(&mut self, frame: &Frame, alignment: &Alignment) -> KeyframeChange {
         self.await_graph();
         let motion = &alignment.motion;
-        let Some(id) = self.tracker.active.as_ref().map(|active| active.id) else {
+        let Some(in_use) = InUse::of(&self.tracker, &self.depth) else {
             return KeyframeChange::default();
         };
-        let pose = &motion.frame_from_keyframe;
-        let frame = &frame.without_moving(&self.map, id, pose, self.setup.pinhole);
-        let next = InUse::of(&self.tracker, &self.depth).map_or(NextKeyframe::None, |in_use| {
-            NextKeyframe::choose(&self.setup, &self.map, in_use, frame, motion)
-        });
-        match next {
+        let (id, pose) = (in_use.keyframe, &motion.frame_from_keyframe);
+        let still = frame.without_moving(&self.map, id, pose, self.setup.pinhole);
+        let frame = still.as_ref().unwrap_or(frame);
+        match NextKeyframe::choose(&self.setup, &self.map, in_use, frame, motion) {
             NextKeyframe::Known(known) => self.hand_over(frame, alignment, *known),
             NextKeyframe::Frame(next) => self.succeed(frame, alignment, next.0, next.1),
             NextKeyframe::NoBetter => {

@@ -147,9 +147,15 @@ pub(super) fn successor(
     motion: &Motion,
 ) -> Option<Successor> {
     let config = &setup.config.depth;
-    let next = || Some(DepthMap::empty(setup.host_of(frame)?, config));
+    // looked at where it counts alone: that of a stereo pair takes long
+    let measured = frame.measured.as_ref().zip(metres);
+    let next = || {
+        let moving = measured.map(|(depth, _)| &***depth);
+        let host = setup.host_without_moving(frame.image().clone(), moving)?;
+        Some(DepthMap::empty(host, config))
+    };
     let mut depth = propagate(depth, next, &motion.frame_from_keyframe, config)?;
-    if let (Some(measured), Some(metres)) = (&frame.measured, metres) {
+    if let Some((measured, metres)) = measured {
         depth.fuse_measured(measured, metres as f32);
     }
     let median_idepth = depth.median_idepth();
