@@ -225,19 +225,17 @@ impl Up {
                 let scene = scene();
                 let found = upright(&scene.views);
                 let confidence = found.as_ref().map_or(0.0, |found| found.confidence);
-                let mut frame = match found {
+                match found {
                     Some(found) if confidence >= MIN_UP_CONFIDENCE => {
                         let said = match confidence >= CERTAIN {
                             true => "as the scene says",
                             false => "as the scene seems to say (uncertain)",
                         };
                         let from = ("scene", Some(confidence));
-                        return level(&found.up_in_world, found.floor.as_ref(), said, from);
+                        level(&found.up_in_world, found.floor.as_ref(), said, from)
                     }
-                    _ => uncertain(),
-                };
-                frame.up = UpSummary::new(frame.up.from, Some(confidence));
-                frame
+                    _ => uncertain(confidence),
+                }
             }
         }
     }
@@ -249,13 +247,15 @@ fn first_camera() -> MapFrame {
     MapFrame::new(z_up_from_camera_world(), description, "first-camera")
 }
 
-/// The same, because the scene is not sure.
-fn uncertain() -> MapFrame {
+/// That frame, because the scene is only so sure.
+fn uncertain(confidence: f64) -> MapFrame {
+    let first = first_camera();
     MapFrame {
+        up: UpSummary::new(first.up.from, Some(confidence)),
         description:
             "z up uncertain, as the first camera was held, x ahead, origin at the first keyframe"
                 .to_owned(),
-        ..first_camera()
+        ..first
     }
 }
 
@@ -269,13 +269,11 @@ fn level(
     let up = UpSummary::new(from, confidence);
     let origin = origin(floor, up.is_certain);
     let description = format!("z up {said}, x ahead of the first camera, {origin}");
-    let ground = floor.map(FloorSummary::of);
-    let is_floor = floor.is_some_and(Floor::is_floor);
     let frame = MapFrame {
         up,
         ..MapFrame::new(level_from_world(up_in_world, floor), description, from)
     };
-    frame.over(ground.filter(|_| is_floor), ground.filter(|_| !is_floor))
+    frame.over_found(floor)
 }
 
 /// Where z = 0 is, for people.
@@ -312,7 +310,7 @@ pub fn read_reference(path: &Path) -> Result<Vec<TimedPose>, Failure> {
 }
 
 impl Align {
-    /// The same, of a map that has grown since its frame was found.
+    /// Says of a known frame that its map has grown since it was found.
     #[must_use]
     pub fn of_grown_map(mut self) -> Self {
         if let Self::Map { has_grown, .. } = &mut self {
@@ -429,8 +427,15 @@ impl MapFrame {
         }
     }
 
-    /// The same frame, of which z = 0 is at a floor or at another level surface. Where up is
-    /// uncertain a wall may be taken for the floor: there no floor is claimed.
+    /// Says that z = 0 is at a surface that was found, or at none.
+    fn over_found(self, found: Option<&Floor>) -> Self {
+        let is_floor = found.is_some_and(Floor::is_floor);
+        let ground = found.map(FloorSummary::of);
+        self.over(ground.filter(|_| is_floor), ground.filter(|_| !is_floor))
+    }
+
+    /// Says that z = 0 is at a floor or at another level surface. Where up is uncertain a wall may
+    /// be taken for the floor: there no floor is claimed.
     fn over(mut self, floor: Option<FloorSummary>, surface: Option<FloorSummary>) -> Self {
         self.floor = floor.filter(|_| self.up.is_certain);
         self.level_surface = surface.or(floor.filter(|_| !self.up.is_certain));
@@ -464,8 +469,8 @@ impl MapFrame {
         }
     }
 
-    /// The same with the level surface that is found now. At the height of the earlier one the
-    /// frame stays; a higher one is no floor, since that one lies below it.
+    /// Takes the level surface that is found now. At the height of the earlier one the frame stays;
+    /// a higher one is no floor, since that one lies below it.
     fn grown_over(mut self, found: &Floor) -> (Self, Option<String>) {
         let Sim3 {
             scale, translation, ..
@@ -490,13 +495,11 @@ impl MapFrame {
                 -height
             ));
         }
-        let ground = FloorSummary {
+        let over_z = Floor {
             camera_height: scale * found.camera_height + if stays { height } else { 0.0 },
-            ..FloorSummary::of(found)
+            ..*found
         };
-        let (is_floor, ground) = (found.is_floor(), Some(ground));
-        let frame = self.over(ground.filter(|_| is_floor), ground.filter(|_| !is_floor));
-        (frame, said)
+        (self.over_found(Some(&over_z)), said)
     }
 
     /// The same frame with lengths in metres, of which a unit of the world has so many.
@@ -506,7 +509,7 @@ impl MapFrame {
         self.scaled(metres)
     }
 
-    /// The same frame with all lengths times `factor`.
+    /// Multiplies all lengths by `factor`.
     fn scaled(mut self, factor: f64) -> Self {
         let scaled = Sim3::new(factor, Se3::identity().rotation, Vec3::zeros());
         self.map_from_world = scaled * self.map_from_world;
