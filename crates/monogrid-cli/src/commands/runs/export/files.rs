@@ -1,6 +1,6 @@
 //! The surface, the cloud and the map of a run as single files.
 
-use crate::commands::runs::unreadable;
+use crate::commands::runs::{CLOUD, unreadable};
 use monogrid_app::mapfile;
 use monogrid_app::output::{MAP, OutputFile};
 use monogrid_app::process::failure::{Classify, Failure};
@@ -16,10 +16,6 @@ use std::path::Path;
 
 /// The surface of a run.
 pub const MESH: &str = "mesh.ply";
-/// Its semi-dense cloud.
-pub const CLOUD: &str = "cloud.ply";
-/// Largest cloud that is copied.
-pub const MAX_CLOUD_BYTES: u64 = 1 << 32;
 /// Its occupied cells with their colours.
 pub const CELLS: &str = "cells.ply";
 /// Steps of coordinates in LAS, map units.

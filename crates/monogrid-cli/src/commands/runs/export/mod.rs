@@ -12,6 +12,7 @@ mod reconstruction;
 #[cfg(test)]
 mod tests;
 
+use crate::commands::runs::CLOUD;
 use crate::commands::runs::rescale::SUMMARY;
 use clap::{Args, ValueEnum};
 use monogrid_app::args::WriteArgs;
@@ -77,7 +78,7 @@ pub fn execute(args: &ExportArgs) -> CommandResult {
 fn inputs_of(run: &Path) -> Inputs {
     let own = [
         files::MESH,
-        files::CLOUD,
+        CLOUD,
         files::CELLS,
         MAP,
         MAP_FROM_WORLD,

@@ -5,12 +5,12 @@
 //! the centre of the top-left pixel is (0.5, 0.5), and poses take points of the camera to the
 //! world.
 
-use super::files::{CLOUD, MAX_CLOUD_BYTES};
 use super::images::FOLDER;
 use super::reconstruction::{Reconstruction, View};
+use crate::commands::runs::cloud_of;
 use monogrid_app::output::OutputFolder;
 use monogrid_app::process::failure::Failure;
-use monogrid_datasets::{RecordedCamera, read_file};
+use monogrid_datasets::RecordedCamera;
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
@@ -19,9 +19,8 @@ const POINTS: &str = "points.ply";
 
 /// Writes `transforms.json`, and the cloud of the run where there is one.
 pub fn write(folder: &OutputFolder, scene: &Reconstruction, run: &Path) -> Result<(), Failure> {
-    let cloud = read_file(&run.join(CLOUD), MAX_CLOUD_BYTES).ok();
     let mut transforms = transforms(scene);
-    if let Some(cloud) = cloud {
+    if let Some(cloud) = cloud_of(run) {
         folder.write(POINTS, cloud)?;
         transforms.insert("ply_file_path".to_owned(), POINTS.into());
     }

@@ -4,7 +4,7 @@ mod gps;
 mod scale;
 mod tables;
 
-use crate::commands::runs::unreadable;
+use crate::commands::runs::{CLOUD, cloud_of, unreadable};
 use crate::commands::use_threads;
 use clap::Args;
 use gps::Georeference;
@@ -17,8 +17,8 @@ use monogrid_app::run::outputs::{Ground, Surface, lowest_and_highest, path_of, w
 use monogrid_app::run::sessions::{MAP_FROM_WORLD, RECORDING, Source, files_of};
 use monogrid_datasets::{
     ColourRecord, DepthRevision, KeyframeRecord, PoseSnapshot, Record, RecordedCamera,
-    RecordedKeyframe, Recording, RecordingWriter, Scale, SessionInfo, format_sim3, read_file,
-    read_sim3, read_text, read_trajectory,
+    RecordedKeyframe, Recording, RecordingWriter, Scale, SessionInfo, format_sim3, read_sim3,
+    read_text, read_trajectory,
 };
 use monogrid_geometry::Sim3;
 use monogrid_report::Page;
@@ -65,10 +65,6 @@ const TABLES: [(&str, Scaler); 6] = [
 ];
 /// What says of which scale a run is.
 pub const SUMMARY: &str = "summary.json";
-/// The semi-dense cloud.
-const CLOUD: &str = "cloud.ply";
-/// Largest cloud that is read.
-const MAX_CLOUD_BYTES: u64 = 1 << 32;
 /// Files without lengths.
 const COPIED: [&str; 3] = ["frames.csv", "calibration.txt", "config.toml"];
 
@@ -177,7 +173,7 @@ fn write_tables(run: &Path, folder: &OutputFolder, factor: f64) -> Result<(), Fa
             folder.write(name, text)?;
         }
     }
-    if let Ok(ply) = read_file(&run.join(CLOUD), MAX_CLOUD_BYTES) {
+    if let Some(ply) = cloud_of(run) {
         match tables::cloud(&ply, factor) {
             Some(scaled) => folder.write(CLOUD, scaled)?,
             None => eprintln!("warning: {CLOUD} is not of this version and is left out"),
