@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
 """Recordings that show no depth, and ordinary ones: which end with a map, and what is said of them.
 
-    scripts/honesty.py PROGRAM [KIND ...]      kinds: pan, still, screen, ordinary, tilted
+    scripts/honesty.py PROGRAM [KIND ...]      kinds: pan, still, screen, ordinary, tilted, askew, judge
 
 Twenty pans (five focal lengths, tripod and hand, with and without a calibration), ten still cameras before which
 something moves, five recordings of a screen with a border, forty ordinary recordings of 320x240, sixty with a camera
-that is held askew. No pan and no still camera may end with exit code 0; every other recording must. Where there is a
-map, up is wrong when it is called certain and is off by more than 5 degrees, the floor when it lies more than a
-twentieth of the camera's height off. Rendered into ${TMPDIR:-/tmp}/honesty, where they stay. Needs numpy, pillow and
-ffmpeg.
+that is held askew (on which what is said of up was fitted), sixty more so, sixty like the first (which only judge). No
+pan and no still camera may end with exit code 0; every other recording must. Where there is a map, up is wrong when it is called certain and is
+off by more than 5 degrees, the floor when it lies more than a twentieth of the camera's height off (not judged on stairs). Rendered into ${TMPDIR:-/tmp}/honesty, where they stay.
+Needs numpy, pillow and ffmpeg.
 """
 import json
 import math
@@ -165,22 +165,26 @@ def ordinary(program):
         yield name + ("" if is_calibrated else "-uncalibrated"), folder, is_calibrated
 
 
-def tilted(program):
-    """Built-in motion with a camera that is turned about its own axes: rolled by up to 40 degrees, up to 50 down."""
-    for number in range(60):
-        world = ("living-room", "office", "machine-hall", "stairs", "corridor-loop")[number % 5]
-        random = np.random.default_rng(1000 + number)
-        roll, pitch = math.radians(random.uniform(-40, 40)), math.radians(random.uniform(-50, 20))
-        lines = []
-        for pose in places(program, world)[number : number + 240]:
-            rotation = times_quaternion(pose[4:8], (math.sin(pitch / 2), 0, 0, math.cos(pitch / 2)))
-            rotation = times_quaternion(rotation, (0, 0, math.sin(roll / 2), math.cos(roll / 2)))
-            lines.append(" ".join(f"{number:.9f}" for number in (*pose[:4], *rotation)))
-        path = WORK / f"tilted-{number}.txt"
-        path.write_text("\n".join(lines) + "\n")
-        name = f"tilted-{number:02}-{world}"
-        folder = synth(program, name, world, "--trajectory", path, "--size", "320x240", "--seed", str(number))
-        yield name, folder, number % 2 == 0
+def held(numbers, roll_deg, down_deg, up_deg):
+    """Built-in motion with a camera that is turned about its own axes, by up to these angles."""
+
+    def recordings(program):
+        for number in numbers:
+            world = ("living-room", "office", "machine-hall", "stairs", "corridor-loop")[number % 5]
+            random = np.random.default_rng(1000 + number)
+            roll, pitch = math.radians(random.uniform(-roll_deg, roll_deg)), math.radians(random.uniform(-down_deg, up_deg))
+            lines = []
+            for pose in places(program, world)[number : number + 240]:
+                rotation = times_quaternion(pose[4:8], (math.sin(pitch / 2), 0, 0, math.cos(pitch / 2)))
+                rotation = times_quaternion(rotation, (0, 0, math.sin(roll / 2), math.cos(roll / 2)))
+                lines.append(" ".join(f"{number:.9f}" for number in (*pose[:4], *rotation)))
+            path = WORK / f"tilted-{number}.txt"
+            path.write_text("\n".join(lines) + "\n")
+            name = f"tilted-{number:02}-{world}"
+            folder = synth(program, name, world, "--trajectory", path, "--size", "320x240", "--seed", str(number))
+            yield name, folder, number % 2 == 0
+
+    return recordings
 
 
 def matrix(quaternion):
@@ -233,7 +237,8 @@ def result(program, recording):
     return name, run.returncode, summary, truth
 
 
-KINDS = {"pan": pans, "still": stills, "screen": screens, "ordinary": ordinary, "tilted": tilted}
+KINDS = {"pan": pans, "still": stills, "screen": screens, "ordinary": ordinary, "tilted": held(range(60), 40, 50, 20),
+         "askew": held(range(60, 120), 60, 70, 40), "judge": held(range(120, 180), 40, 50, 20)}
 
 
 def main():
@@ -248,14 +253,14 @@ def main():
         with ThreadPoolExecutor(2) as pool:
             for name, code, summary, truth in pool.map(lambda recording: result(program, recording), recordings):
                 count["wrong end"] += (code == 0) == (kind in ("pan", "still"))
-                up, floor = judgement(summary, truth, count)
+                up, floor = judgement(name, summary, truth, count)
                 shown = (code, summary.get("motion"), summary.get("status"), f"{summary.get('tracked')} of {summary.get('frames')}")
                 print(f"| {name} | {' | '.join(map(str, shown))} | {summary.get('keyframes')} | {up} | {floor} |", flush=True)
         counts.append(f"{kind}: {len(recordings)} recordings, " + ", ".join(f"{number} {what}" for what, number in count.items()))
     print("\n" + "\n".join(counts))
 
 
-def judgement(summary, truth, count):
+def judgement(name, summary, truth, count):
     """What is said of up and floor, beside the truth."""
     if truth is None:
         return "", ""
@@ -264,7 +269,8 @@ def judgement(summary, truth, count):
     count["up certain"] += is_certain
     count["of these wrong"] += is_certain and angle > 5
     count["floor"] += has_floor
-    count["of these wrong floor"] += has_floor and abs(height - 1) > 0.05
+    # in a stairwell the floor is where one stands
+    count["of these wrong floor"] += has_floor and abs(height - 1) > 0.05 and "stairs" not in name
     return f"{'certain' if is_certain else 'uncertain'} {summary['up']['confidence']:.2f}, off by {angle:.1f}", f"{height:.2f} of the height" if has_floor else ""
 
 

@@ -73,6 +73,7 @@ impl Recorded {
                     &recording.keyframes,
                     scans.get_or_init(|| scans_of(&recording.keyframes, &mapping, 1)),
                 ),
+                path: trajectory.iter().map(|(_, pose)| *pose).collect(),
             });
         if let Some(reason) = align_failure {
             return Err(Failure::input(reason));

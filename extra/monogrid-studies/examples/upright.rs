@@ -64,7 +64,7 @@ fn main() {
                 })
             })
             .collect();
-        let found = upright(&views);
+        let found = upright(&views, &path_of(&views));
         let seconds = started.elapsed().as_secs_f64();
         println!("{path}: {found:?}, {seconds:.2} s");
     }
@@ -191,7 +191,7 @@ fn judge(keyframes: &[Rendered], pinhole: &Pinhole) -> (Upright, f64, f64) {
             world_from_keyframe: (first_from_world * k.world_from_camera).with_scale(1.0),
         })
         .collect();
-    let found = upright(&views).unwrap();
+    let found = upright(&views, &path_of(&views)).unwrap();
     let up = first_from_world.rotation * Vec3::z();
     let off_deg = up.angle(&found.up_in_world).to_degrees();
     // the floor of the worlds is at z = 0
@@ -200,6 +200,12 @@ fn judge(keyframes: &[Rendered], pinhole: &Pinhole) -> (Upright, f64, f64) {
         .floor
         .map_or(9.0, |floor| (floor.height - true_height).abs());
     (found, off_deg, floor)
+}
+
+/// The path of the camera, as far as keyframes say it.
+fn path_of(views: &[UprightView]) -> Vec<Se3> {
+    let pose = |view: &UprightView| view.world_from_keyframe.to_se3();
+    views.iter().map(pose).collect()
 }
 
 /// Numbers from 0 to 1.

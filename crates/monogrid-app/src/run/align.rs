@@ -144,8 +144,8 @@ impl UpSummary {
     }
 }
 
-/// Confidence of the scene from which up is called certain: wrong ones had up to 0.46.
-const CERTAIN: f64 = 0.5;
+/// Confidence of the scene, a probability, from which up is called certain.
+const CERTAIN: f64 = 0.7;
 
 /// Heights within this share of that of the cameras are one level surface.
 const SAME_HEIGHT: f64 = 0.05;
@@ -177,6 +177,8 @@ impl FloorSummary {
 pub struct Scene<'a> {
     /// Keyframes of the map.
     pub views: Vec<UprightView<'a>>,
+    /// Poses of the camera in the world, in all frames that are in the map.
+    pub path: Vec<Se3>,
 }
 
 impl Up {
@@ -214,7 +216,7 @@ impl Up {
     ) -> MapFrame {
         let mut known = |up: &Vec3, said, from| {
             let scene = scene();
-            let floor = floor_below(&scene.views, up);
+            let floor = floor_below(&scene.views, &scene.path, up);
             level(up, floor.as_ref(), said, (from, None))
         };
         match (self, sensed.up_in_world) {
@@ -223,7 +225,7 @@ impl Up {
             (Self::Scene, Some(up)) => known(&up, "as gravity says", "imu"),
             (Self::Scene, None) => {
                 let scene = scene();
-                let found = upright(&scene.views);
+                let found = upright(&scene.views, &scene.path);
                 let confidence = found.as_ref().map_or(0.0, |found| found.confidence);
                 match found {
                     Some(found) if confidence >= MIN_UP_CONFIDENCE => {
@@ -463,7 +465,8 @@ impl MapFrame {
             return (self, None);
         }
         let up = self.map_from_world.rotation.inverse() * Vec3::z();
-        match floor_below(&scene().views, &up) {
+        let scene = scene();
+        match floor_below(&scene.views, &scene.path, &up) {
             Some(found) => self.grown_over(&found),
             None => (self, None),
         }
@@ -612,7 +615,7 @@ mod tests {
             let from = ("scene", Some(confidence));
             level(&-Vec3::y(), Some(&floor), "as the scene says", from)
         };
-        let (certain, guess) = (frame(0.6), frame(0.46));
+        let (certain, guess) = (frame(0.75), frame(0.65));
         assert!(certain.floor.is_some() && certain.level_surface.is_none());
         assert_eq!(guess.floor, None);
         assert_eq!(guess.level_surface.map(|s| s.camera_height), Some(0.7));
@@ -675,6 +678,7 @@ mod tests {
                     world_from_keyframe: *pose,
                 })
                 .collect(),
+            path: poses.iter().map(Sim3::to_se3).collect(),
         };
         align.frame(&[], &SensedFrame::default(), &mut scene)
     }
@@ -702,7 +706,7 @@ mod tests {
         let whole = frame_of_room(Align::Level(Up::Scene)).0;
         let height = whole.floor.expect("it is seen").camera_height;
         assert!((height - 1.4).abs() < 0.02, "{whole:?}");
-        let certain = UpSummary::new("earlier", Some(0.6));
+        let certain = UpSummary::new("earlier", Some(0.9));
         // no floor was seen: now one is
         let (grown, said) = frame_of_room(half(-0.9, 0.0, certain, None).of_grown_map());
         assert!(said.is_some_and(|said| said.contains("0.9")), "{grown:?}");
@@ -750,14 +754,17 @@ mod tests {
     fn up_is_certain_where_somebody_knows_it() {
         let is_certain = |from, confidence| UpSummary::new(from, confidence).is_certain;
         assert!(is_certain("imu", None) && is_certain("given", None));
-        assert!(is_certain("scene", Some(0.6)) && !is_certain("scene", Some(0.46)));
+        assert!(is_certain("scene", Some(0.75)) && !is_certain("scene", Some(0.65)));
         assert!(!is_certain("first-camera", Some(0.1)) && !is_certain("first-camera", None));
-        assert!(is_certain("earlier", Some(0.6)) && !is_certain("earlier", Some(0.3)));
+        assert!(is_certain("earlier", Some(0.85)) && !is_certain("earlier", Some(0.3)));
     }
 
     #[test]
     fn a_scene_that_is_not_sure_leaves_up_to_the_first_camera() {
-        let mut nothing = || Scene { views: Vec::new() };
+        let mut nothing = || Scene {
+            views: Vec::new(),
+            path: Vec::new(),
+        };
         let unsensed = SensedFrame::default();
         let (frame, warning) = Align::Level(Up::Scene).frame(&[], &unsensed, &mut nothing);
         assert_eq!(frame.map_from_world, z_up_from_camera_world());

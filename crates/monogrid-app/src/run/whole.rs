@@ -299,6 +299,7 @@ impl Looked {
         let path = stamped_path(tracked);
         let (frame, warning) = align.frame(&path, &sensed.frame, &mut || Scene {
             views: views.clone(),
+            path: path.iter().map(|(_, pose)| *pose).collect(),
         });
         let is_free = mapping.auto_resolution && !is_metric(tracked, &frame);
         let cell = is_free.then(|| scene_cell(&views, mapping)).flatten();

@@ -4,7 +4,7 @@
 use super::segments::segments;
 use crate::planes::planes_of_image;
 use crate::{ImageOf, KeyframeScan};
-use monogrid_geometry::{Sim3, Vec2, Vec3};
+use monogrid_geometry::{Se3, Sim3, Vec2, Vec3};
 use rayon::prelude::*;
 
 /// A keyframe as the search for up needs it.
@@ -40,17 +40,23 @@ pub(super) struct Edge {
 /// Shortest straight edge that votes, as a share of the image's width.
 const MIN_EDGE: f64 = 0.06;
 
+/// How many poses say how the camera was held and moved: a long path says it as well.
+const MAX_POSES: usize = 500;
+
 /// Everything that votes.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Evidence {
     pub patches: Vec<Patch>,
     pub edges: Vec<Edge>,
+    /// Of the keyframes.
     pub poses: Vec<Sim3>,
+    /// Poses of the camera in the world, evenly over all frames.
+    pub path: Vec<Se3>,
 }
 
 impl Evidence {
-    /// Collects it from all keyframes.
-    pub fn of(views: &[UprightView]) -> Self {
+    /// Collects it from all keyframes, and the poses of the camera in all frames.
+    pub fn of(views: &[UprightView], path: &[Se3]) -> Self {
         let seen = |view: &UprightView| {
             let planes = planes_of_image(&view.scan.pixels());
             let min_length_px = MIN_EDGE * view.scan.camera.width as f64;
@@ -59,7 +65,14 @@ impl Evidence {
             (planes, segments)
         };
         let seen: Vec<_> = views.par_iter().map(seen).collect();
-        let mut this = Self::default();
+        let mut this = Self {
+            path: path
+                .iter()
+                .step_by(1 + path.len() / MAX_POSES)
+                .copied()
+                .collect(),
+            ..Self::default()
+        };
         for (view, (planes, segments)) in views.iter().zip(seen) {
             let (pose, camera) = (&view.world_from_keyframe, &view.scan.camera);
             this.poses.push(*pose);

@@ -1,12 +1,13 @@
 //! Up and the floor, from the scene.
 //!
 //! One camera measures no gravity. But floors and tables are level, walls and doors stand upright,
-//! and people hold cameras so that the horizon is roughly level. From all keyframes: **planes** of
-//! their depth and **straight edges** of their images ([`evidence`]) vote for directions that are
-//! normal to planes, or lie in planes and along edges ([`vote`]); three directions of a room get
-//! many votes, and how the camera was held, over all keyframes and not only in the first, says
-//! which of them is up. The **floor** is the lowest level plane below the cameras that much is seen
-//! of, if (almost) nothing lies below it ([`floor`]).
+//! people hold cameras so that the horizon is roughly level, carry them over the ground, and turn
+//! about the vertical. From all keyframes: **planes** of their depth and **straight edges** of
+//! their images ([`evidence`]) vote for directions that are normal to planes, or lie in planes and
+//! along edges; three directions of a room get many votes, and how the camera was held and moved,
+//! over all frames and not only in the first, says which of them is up ([`vote`]). The **floor** is
+//! the lowest level plane below the cameras that much is seen of, if (almost) nothing lies below
+//! it ([`floor`]).
 
 mod evidence;
 mod floor;
@@ -19,10 +20,11 @@ pub use floor::Floor;
 use evidence::Evidence;
 use monogrid_geometry::median::median;
 use monogrid_geometry::nalgebra::{Matrix3, Rotation3};
-use monogrid_geometry::{Rotation, Sim3, Vec3};
+use monogrid_geometry::{Rotation, Se3, Sim3, Vec3};
 
-/// Least confidence at which the scene, and not the first camera, says what is up.
-pub const MIN_UP_CONFIDENCE: f64 = 0.2;
+/// Least confidence at which the scene, and not the first camera, says what is up: it is more
+/// probable than not.
+pub const MIN_UP_CONFIDENCE: f64 = 0.5;
 
 /// Directions within this angle are one up, degrees.
 const SAME_UP_DEG: f64 = 8.0;
@@ -32,18 +34,19 @@ const SAME_UP_DEG: f64 = 8.0;
 pub struct Upright {
     /// Up, of length 1, in the world of the keyframes.
     pub up_in_world: Vec3,
-    /// From 0 (a guess) to 1.
+    /// Probability that it is within ten degrees of up.
     pub confidence: f64,
     /// The floor, or the level surface that looks most like one, where one is seen.
     pub floor: Option<Floor>,
 }
 
-/// Finds up and the floor; `None` where nothing votes.
+/// Finds up and the floor, from keyframes and the poses of the camera in all frames; `None` where
+/// nothing votes.
 ///
 /// The result does not depend on the frame of the world: turning it turns the result.
 #[must_use]
-pub fn upright(views: &[UprightView]) -> Option<Upright> {
-    let evidence = Evidence::of(views);
+pub fn upright(views: &[UprightView], path: &[Se3]) -> Option<Upright> {
+    let evidence = Evidence::of(views, path);
     let mut upright = vote::vote(&evidence)?;
     upright.floor = floor::floor(views, &evidence, &upright.up_in_world);
     Some(upright)
@@ -52,8 +55,8 @@ pub fn upright(views: &[UprightView]) -> Option<Upright> {
 /// The floor for an up that is known otherwise. Where the scene votes for nearly the same up, level
 /// planes are told by that: an up that is off by degrees takes the far end of a floor for another.
 #[must_use]
-pub fn floor_below(views: &[UprightView], up_in_world: &Vec3) -> Option<Floor> {
-    let evidence = Evidence::of(views);
+pub fn floor_below(views: &[UprightView], path: &[Se3], up_in_world: &Vec3) -> Option<Floor> {
+    let evidence = Evidence::of(views, path);
     let up = up_in_world.normalize();
     let is_same = |voted: &Vec3| voted.dot(&up) > SAME_UP_DEG.to_radians().cos();
     let voted = vote::vote(&evidence).map(|upright| upright.up_in_world);

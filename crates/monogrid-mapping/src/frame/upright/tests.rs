@@ -90,10 +90,15 @@ fn room_from_cameras(count: usize, pitch_deg: f64, roll_deg: f64) -> Vec<Sim3> {
         .collect()
 }
 
+/// How the first of such cameras is held.
+fn moving_first(roll_deg: f64) -> Rotation {
+    room_from_cameras(1, 15.0, roll_deg)[0].rotation
+}
+
 /// What is found when the first camera is the frame of the world, and up as it is.
 fn found(room: &Room, room_from_cameras: &[Sim3], scale: f64) -> (Upright, Vec3) {
-    seen(room, room_from_cameras, scale, |views| {
-        upright(views).unwrap()
+    seen(room, room_from_cameras, scale, |views, path| {
+        upright(views, path).unwrap()
     })
 }
 
@@ -102,7 +107,7 @@ fn seen<T>(
     room: &Room,
     room_from_cameras: &[Sim3],
     scale: f64,
-    find: impl Fn(&[UprightView]) -> T,
+    find: impl Fn(&[UprightView], &[Se3]) -> T,
 ) -> (T, Vec3) {
     let first = &room_from_cameras[0];
     let scaled = Sim3::new(1.0 / scale, Rotation::identity(), Vec3::zeros());
@@ -120,7 +125,11 @@ fn seen<T>(
             world_from_keyframe: world_from_room * *pose,
         })
         .collect();
-    (find(&views), first.rotation.inverse() * Vec3::z())
+    let path: Vec<Se3> = views
+        .iter()
+        .map(|v| v.world_from_keyframe.to_se3())
+        .collect();
+    (find(&views, &path), first.rotation.inverse() * Vec3::z())
 }
 
 fn angle_deg(a: &Vec3, b: &Vec3) -> f64 {
@@ -157,7 +166,8 @@ fn a_floor_is_level_although_the_up_that_is_known_is_off_by_degrees() {
     let (_, up) = found(&room(None), &cameras, 2.5);
     for tilt_deg in [0.0_f64, 3.0, 6.0] {
         let tilt = Rotation::from_scaled_axis(Vec3::z() * tilt_deg.to_radians());
-        let floor = |views: &[UprightView]| floor_below(views, &(tilt * up)).unwrap();
+        let floor =
+            |views: &[UprightView], path: &[Se3]| floor_below(views, path, &(tilt * up)).unwrap();
         let (floor, _) = seen(&room(None), &cameras, 2.5, floor);
         // the cameras are at 1.4 m, and the first is the origin of the world
         let [height, camera_height] = [floor.height, floor.camera_height].map(|h| 2.5 * h);
@@ -200,25 +210,39 @@ fn a_table_is_no_floor_where_something_lies_below_it() {
 }
 
 #[test]
-fn a_rolled_camera_makes_up_doubtful_before_it_makes_it_wrong() {
-    let level = found(&room(None), &room_from_cameras(6, 15.0, 0.0), 1.0).0;
-    let rolled = found(&room(None), &room_from_cameras(6, 15.0, 30.0), 1.0).0;
-    assert!(
-        rolled.confidence < 0.8 * level.confidence,
-        "{rolled:?} {level:?}"
-    );
+fn how_a_camera_moves_says_what_is_up_however_it_is_held() {
+    let mut cameras = room_from_cameras(8, 15.0, 60.0);
+    let (moving, up) = found(&room(None), &cameras, 1.0);
+    let off = angle_deg(&moving.up_in_world, &up);
+    assert!(off < 0.5 && moving.confidence > 0.8, "{off}: {moving:?}");
+    // one that stays where it is, and trembles
+    for (k, camera) in cameras.iter_mut().enumerate() {
+        let tremble = Rotation::from_scaled_axis(Vec3::ith(k % 3, 0.01));
+        *camera = Sim3::new(1.0, tremble * moving_first(60.0), Vec3::new(-1.5, 1.2, 1.4));
+    }
+    let (still, _) = found(&room(None), &cameras, 1.0);
+    assert!(still.confidence < 0.8, "{still:?}");
+}
+
+#[test]
+fn a_camera_that_is_held_level_is_surer_than_one_that_is_rolled() {
+    let [level, rolled] = [0.0, 30.0].map(|roll_deg| {
+        let cameras = room_from_cameras(6, 15.0, roll_deg);
+        found(&room(None), &cameras, 1.0).0.confidence
+    });
+    assert!(rolled < level - 0.03, "{rolled} {level}");
 }
 
 #[test]
 fn nothing_that_votes_is_no_direction() {
-    assert_eq!(upright(&[]), None);
+    assert_eq!(upright(&[], &[]), None);
     let scan = KeyframeScan::of_measurements(0, CAMERA, Vec::new(), 0);
     let view = UprightView {
         scan: &scan,
         image: None,
         world_from_keyframe: Sim3::identity(),
     };
-    assert_eq!(upright(&[view]), None);
+    assert_eq!(upright(&[view], &[Se3::identity()]), None);
 }
 
 #[test]
