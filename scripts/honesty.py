@@ -6,9 +6,9 @@
 Twenty pans (five focal lengths, tripod and hand, with and without a calibration), ten still cameras before which
 something moves, five recordings of a screen with a border, forty ordinary recordings of 320x240, sixty with a camera
 that is held askew (on which what is said of up was fitted), sixty more so, sixty like the first (which only judge). No
-pan and no still camera may end with exit code 0; every other recording must. Where there is a map, up is wrong when it is called certain and is
-off by more than 5 degrees, the floor when it lies more than a twentieth of the camera's height off (not judged on stairs). Rendered into ${TMPDIR:-/tmp}/honesty, where they stay.
-Needs numpy, pillow and ffmpeg.
+pan and no still camera may end with exit code 0; every other recording must. Where there is a map, up is wrong when it is
+called certain and is off by more than 5 degrees, the floor when it lies more than a twentieth of the camera's height off
+(not judged on stairs). Rendered into ${TMPDIR:-/tmp}/honesty, where they stay. Needs numpy, pillow and ffmpeg.
 """
 import json
 import math
