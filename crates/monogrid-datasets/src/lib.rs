@@ -72,6 +72,6 @@ pub use text::read_text;
 pub use timestamp::{format_seconds, parse_seconds};
 pub(crate) use trajectory::pose_from_numbers;
 pub use trajectory::{
-    TimedPose, format_sim3, format_tum, parse_kitti, parse_trajectory, read_sim3, read_trajectory,
-    read_transform, write_sim3, write_tum,
+    TimedPose, format_sim3, format_tum, parse_kitti, parse_trajectory, read_path, read_sim3,
+    read_trajectory, read_transform, write_sim3, write_tum,
 };
