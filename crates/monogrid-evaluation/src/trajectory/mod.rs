@@ -200,30 +200,15 @@ pub fn evaluate_trajectory(
     let estimate = checked_and_sorted(estimate, "estimated")?;
     let truth = checked_and_sorted(truth, "true")?;
     let mut pairs = associate::associate(&estimate, &truth, config.max_difference_secs);
-    // poses that determine it, and something to compare
-    let expected = config.alignment.with_scale().map_or(2, |_| 3);
-    let found = pairs.len();
-    let too_few = || TrajectoryError::TooFewMatches {
-        found,
-        expected,
-        estimated: estimate.len(),
-        truth: truth.len(),
-        max_difference_secs: config.max_difference_secs,
-    };
-    if found < expected {
+    let (found, lengths) = (pairs.len(), (estimate.len(), truth.len()));
+    let too_few = || too_few(found, lengths, config);
+    if found < num_expected(config.alignment) {
         return Err(too_few());
     }
     let are_turned = [&estimate, &truth].map(|poses| is_turned(poses));
     let has_orientations = are_turned == [true; 2];
     let gt_from_est = align(&pairs, config.alignment, has_orientations)?;
-    for pair in &mut pairs {
-        let (est, gt) = (&mut pair.est_from_camera, &mut pair.gt_from_camera);
-        match are_turned {
-            [true, true] => {}
-            [false, true] => est.rotation = gt_from_est.rotation.inverse() * gt.rotation,
-            [_, false] => gt.rotation = gt_from_est.rotation * est.rotation,
-        }
-    }
+    complete(&mut pairs, are_turned, &gt_from_est);
     let apply_to = |p: &PosePair| apply(&gt_from_est, &p.est_from_camera);
     let aligned: Vec<Se3> = pairs.iter().map(apply_to).collect();
     let ate = ErrorSummary::of(&position_errors(&pairs, &aligned)).ok_or_else(too_few)?;
@@ -298,6 +283,37 @@ fn checked_and_sorted(
     let mut sorted = poses.to_vec();
     sorted.sort_by_key(|p| p.0);
     Ok(sorted)
+}
+
+/// Poses that determine an alignment, and something to compare.
+fn num_expected(alignment: TrajectoryAlignment) -> usize {
+    alignment.with_scale().map_or(2, |_| 3)
+}
+
+fn too_few(
+    found: usize,
+    (estimated, truth): (usize, usize),
+    config: &TrajectoryConfig,
+) -> TrajectoryError {
+    TrajectoryError::TooFewMatches {
+        found,
+        expected: num_expected(config.alignment),
+        estimated,
+        truth,
+        max_difference_secs: config.max_difference_secs,
+    }
+}
+
+/// Takes orientations that are not known, of the estimate and of the truth, from the other one.
+fn complete(pairs: &mut [PosePair], are_known: [bool; 2], gt_from_est: &Sim3) {
+    for pair in pairs {
+        let (est, gt) = (&mut pair.est_from_camera, &mut pair.gt_from_camera);
+        match are_known {
+            [true, true] => {}
+            [false, true] => est.rotation = gt_from_est.rotation.inverse() * gt.rotation,
+            [_, false] => gt.rotation = gt_from_est.rotation * est.rotation,
+        }
+    }
 }
 
 /// Whether poses have more than one orientation: no camera is held that still.

@@ -190,8 +190,8 @@ fn the_tilt_is_that_of_the_vertical_whatever_is_aligned() {
 
 #[test]
 fn positions_alone_tell_no_rotation_and_the_same_positions() {
-    let known = "0.0 0 0 0 0 0 0 1\n0.1 1 0 0 0 0 0.6 0.8\n0.2 2 1 0 0 0.6 0 0.8\n0.3 2 2 1 0.6 0 0 \
-                 0.8\n0.4 1 3 2 0 0 0 1";
+    let known = "0.0 0 0 0 0 0 0 1\n0.1 1 0 0 0 0 0.6 0.8\n0.2 2 1 0 0 0.6 0 0.8\n0.3 2 2 1 \
+                 0.6 0 0 0.8\n0.4 1 3 2 0 0 0 1";
     let moved = |(time, pose): &StampedPose| {
         let turn = rotation_exp(&Vec3::new(0.3, -0.2, 1.0));
         let wobble = rotation_exp(&Vec3::new(0.0, 0.1 * (*time % 7) as f64, 0.0));
