@@ -6,8 +6,8 @@ use crate::{GrayImage, Image, Mask};
 /// Sweeps over what is filled on each level, from the coarsest to the finest: with what comes from
 /// the coarser one they are enough for a surface without an edge.
 const SWEEPS: usize = 8;
-/// The part that is filled is wider than what the mask names by this share of the longer side: masks
-/// end a little within what they cover, and motion blurs its outline.
+/// The part that is filled is wider than what the mask names by this share of the longer side:
+/// masks end a little within what they cover, and motion blurs its outline.
 const MARGIN: f64 = 1.0 / 160.0;
 
 /// Fills what `mask` (of the size of the image, 0 = not to be used) names, and some pixels around

@@ -12,7 +12,8 @@ use std::path::Path;
 /// Largest packet that is read, bytes: that of a second has some ten thousand.
 const MAX_PACKET_BYTES: u32 = 1 << 20;
 
-/// What a camera of GoPro wrote into an MP4 beside the picture; `None` where there is no such track.
+/// What a camera of GoPro wrote into an MP4 beside the picture; `None` where there is no such
+/// track.
 ///
 /// # Errors
 /// When the file cannot be read.
