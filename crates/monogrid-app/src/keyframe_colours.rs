@@ -3,6 +3,7 @@
 //! stays in memory.
 
 use crate::input::frame_colours::{FrameColour, FrameColours};
+use crate::input::frame_masks::FrameMasks;
 use crate::input::{Images, Input};
 use monogrid_datasets::{FrameEntry, Levels, decode_jpeg_rgb, encode_jpeg_rgb, read_rgb_in};
 use monogrid_image::Image;
@@ -27,6 +28,7 @@ pub struct ColourSource {
     rendered: Option<Arc<(SynthSequence, Renderer)>>,
     /// What these use of 16 bits.
     levels: Levels,
+    masks: Option<Arc<FrameMasks>>,
     preparation: Preparation,
     /// Where what is seen only once is kept.
     pub kept: Arc<FrameColours>,
@@ -51,6 +53,7 @@ impl ColourSource {
             files,
             rendered,
             levels: input.reading.levels,
+            masks: input.reading.masks.clone(),
             preparation: input.preparation.clone(),
             kept: Arc::default(),
         }
@@ -71,21 +74,26 @@ impl ColourSource {
         let image = match found {
             Ok(found) => {
                 let image = read_rgb_in(&self.files[found].path, self.levels).ok()??;
-                self.working(&image, &kept)?
+                self.working(&self.masked(frame, image)?, &kept)?
             }
-            Err(_) => self.shown_in_colour(&keyframe.image, &kept)?,
+            Err(_) => self.shown_in_colour(frame, &keyframe.image, &kept)?,
         };
         Some(encode_jpeg_rgb(&image, QUALITY))
     }
 
     /// A working image in the colours of its frame of a video.
-    fn shown_in_colour(&self, working: &Image<u8>, kept: &FrameColour) -> Option<ColourImage> {
+    fn shown_in_colour(
+        &self,
+        frame: usize,
+        working: &Image<u8>,
+        kept: &FrameColour,
+    ) -> Option<ColourImage> {
         match &kept.colour {
             Colour::Grey => None,
             Colour::Jpeg(bytes) => {
                 let name = Path::new("frame of a video");
                 let image = decode_jpeg_rgb(bytes, MAX_PIXELS, name).ok()??;
-                self.working(&image, kept)
+                self.working(&self.masked(frame, image)?, kept)
             }
             // the detail is that of luma, which tracking has prepared
             Colour::Chroma(chroma) => {
@@ -99,6 +107,15 @@ impl ColourSource {
                     chroma.space().rgb(working.at(x, y), [blue, red])
                 }))
             }
+        }
+    }
+
+    /// An image of the camera without what the mask of its frame names; `None` where that cannot be
+    /// asked for again.
+    fn masked(&self, frame: usize, image: ColourImage) -> Option<ColourImage> {
+        match &self.masks {
+            Some(masks) => masks.apply_to_rgb(frame, &image),
+            None => Some(image),
         }
     }
 

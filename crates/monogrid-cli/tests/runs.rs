@@ -9,6 +9,7 @@
 mod common;
 mod runs {
     mod export;
+    mod masks;
     mod panics;
     mod pipeline;
     mod run;

@@ -89,8 +89,8 @@ pub enum DatasetError {
     },
     /// An image that cannot be decoded completely.
     #[error(
-        "cannot decode image {path:?}: {reason}; expected a complete PNG, JPEG, PGM, PPM, TIFF or \
-         WebP"
+        "cannot decode image {path:?}: {reason}; expected a complete PNG, JPEG, PGM, PPM, TIFF, \
+         WebP or BMP"
     )]
     Image {
         /// The file.

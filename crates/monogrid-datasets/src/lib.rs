@@ -26,6 +26,7 @@ mod check;
 mod error;
 mod files;
 mod fixed;
+mod gpmf;
 mod images;
 mod imu;
 mod places;
@@ -44,6 +45,7 @@ pub use check::{FrameCheck, FrameChecker, SequenceCheck, blur};
 pub use error::DatasetError;
 pub use files::{open_file, read_file};
 pub use fixed::{FixedPart, FixedPartFinder, Rectangle};
+pub use gpmf::CameraTelemetry;
 pub use images::{
     DepthCalibration, DepthRegistration, Levels, PixelBudget, TUM_UNITS_PER_METRE, TooManyPixels,
     decode_depth, decode_gray, decode_jpeg_luma, decode_jpeg_rgb, encode_jpeg, encode_jpeg_rgb,
@@ -72,6 +74,6 @@ pub use text::read_text;
 pub use timestamp::{format_seconds, parse_seconds};
 pub(crate) use trajectory::pose_from_numbers;
 pub use trajectory::{
-    TimedPose, format_sim3, format_tum, parse_kitti, parse_trajectory, read_sim3, read_trajectory,
-    read_transform, write_sim3, write_tum,
+    TimedPose, format_sim3, format_tum, parse_kitti, parse_trajectory, read_path, read_sim3,
+    read_trajectory, read_transform, write_sim3, write_tum,
 };

@@ -36,6 +36,15 @@ pub fn read_trajectory(path: &Path) -> Result<Vec<TimedPose>, DatasetError> {
     parse_trajectory(&read_text(path)?, path)
 }
 
+/// As [`read_trajectory`]; also positions alone (`time x y z`, as receivers and trackers of a prism
+/// write them), all of which have the same orientation, then: nobody knows it.
+///
+/// # Errors
+/// As [`read_trajectory`].
+pub fn read_path(path: &Path) -> Result<Vec<TimedPose>, DatasetError> {
+    parse_path(&read_text(path)?, path)
+}
+
 /// Whether a line names the columns of the lines below it, a time and a position at least.
 fn are_column_names(line: &str) -> bool {
     let words = line.split(|c: char| c == ',' || c.is_whitespace());
@@ -48,6 +57,19 @@ fn are_column_names(line: &str) -> bool {
 /// # Errors
 /// As [`read_trajectory`].
 pub fn parse_trajectory(text: &str, path: &Path) -> Result<Vec<TimedPose>, DatasetError> {
+    parse(text, path, false)
+}
+
+/// As [`read_path`].
+pub(crate) fn parse_path(text: &str, path: &Path) -> Result<Vec<TimedPose>, DatasetError> {
+    parse(text, path, true)
+}
+
+fn parse(
+    text: &str,
+    path: &Path,
+    are_positions_enough: bool,
+) -> Result<Vec<TimedPose>, DatasetError> {
     let is_kitti = |(_, line): (usize, &str)| numbers(line).is_some_and(|row| row.len() == 12);
     if data_lines(text).next().is_some_and(is_kitti) {
         let times: Vec<i64> = (0..data_lines(text).count() as i64)
@@ -61,7 +83,8 @@ pub fn parse_trajectory(text: &str, path: &Path) -> Result<Vec<TimedPose>, Datas
         if at == 0 && are_column_names(line) {
             continue;
         }
-        poses.push(parse_line(line, unit).ok_or_else(|| {
+        let position = || parse_position(line, unit).filter(|_| are_positions_enough);
+        poses.push(parse_line(line, unit).or_else(position).ok_or_else(|| {
             let expected = "timestamp tx ty tz qx qy qz qw with a unit quaternion, EuRoC's \
                             nanoseconds,x,y,z,qw,qx,qy,qz, or 12 numbers of KITTI's matrices";
             DatasetError::line(path, number, line, expected)
@@ -136,6 +159,19 @@ fn parse_line(line: &str, unit: TimeUnit) -> Option<TimedPose> {
     Some(TimedPose {
         timestamp_ns: unit.parse(time)?,
         world_from_camera: pose_from_numbers(&pose)?,
+    })
+}
+
+/// A line with a time and a position.
+fn parse_position(line: &str, unit: TimeUnit) -> Option<TimedPose> {
+    let (time, rest) = first_word(line);
+    let &[x, y, z] = numbers(rest)?.as_slice() else {
+        return None;
+    };
+    let pose = Se3::new(Rotation::identity(), Vec3::new(x, y, z));
+    pose.is_finite().then_some(TimedPose {
+        timestamp_ns: unit.parse(time)?,
+        world_from_camera: pose,
     })
 }
 

@@ -7,6 +7,7 @@
 
 mod buffer;
 mod depth_pixel;
+mod fill;
 mod gradient;
 pub mod lanes;
 mod photometric;
@@ -18,6 +19,7 @@ pub use buffer::{
     resize_mask, to_gray8,
 };
 pub use depth_pixel::DepthPixel;
+pub use fill::fill_masked;
 pub use gradient::{GradientImage, max_gradient};
 pub use photometric::{Photometric, PhotometricError};
 pub use pyramid::{Pyramid, half_size, pyramid_intrinsics};

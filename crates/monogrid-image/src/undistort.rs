@@ -355,7 +355,7 @@ fn remap_table(
 
 /// Clears every pixel within `radius` (in both axes) of an invalid one or of nothing at all at the
 /// border of the image only where the border itself is invalid.
-fn erode(mask: &Mask, radius: usize) -> Mask {
+pub(crate) fn erode(mask: &Mask, radius: usize) -> Mask {
     let (w, h) = (mask.width(), mask.height());
     let horizontal = Mask::from_fn(w, h, |x, y| {
         let row = mask.row(y);

@@ -64,6 +64,8 @@ pub(crate) fn open(name: &str, mut file: File, file_bytes: u64) -> Result<Here, 
         awaited: BTreeSet::new(),
         given_up: BTreeSet::new(),
         missing: missing.clone(),
+        is_damaged: false,
+        last: None,
         ended: false,
     };
     Ok(Ok(Opened {
@@ -98,6 +100,10 @@ struct H264Frames {
     /// Those that were counted as missing.
     given_up: BTreeSet<i64>,
     missing: Missing,
+    /// Whether there was a sample without a picture.
+    is_damaged: bool,
+    /// Time of the frame that was shown last, units of the track.
+    last: Option<i64>,
     ended: bool,
 }
 
@@ -122,7 +128,9 @@ impl H264Frames {
         let mut first_error = None;
         // of the length in front of each unit
         let length_bytes = usize::from(self.track.config.length_size_minus_one.get()) + 1;
-        for unit in parse_avcc(&bytes, length_bytes) {
+        let units = parse_avcc(&bytes, length_bytes);
+        self.is_damaged |= units.is_empty();
+        for unit in units {
             let outcome = self.decoder.decode(&unit, sample.time)?;
             first_error = first_error.or(outcome.err());
         }
@@ -153,6 +161,12 @@ impl H264Frames {
     /// The next frame that is shown.
     fn take_ready(&mut self) -> Option<Result<VideoFrame, VideoError>> {
         while let Some((frame, time)) = self.decoder.take_ready() {
+            // behind a hole pictures come whose order nobody knows any more
+            if self.is_damaged && self.last.is_some_and(|last| time <= last) {
+                self.missing.add(usize::from(self.awaited.remove(&time)));
+                continue;
+            }
+            self.last = Some(time);
             self.arrived(time);
             let Some(timestamp_ns) = self.track.timing.shown_ns(time) else {
                 continue;

@@ -58,6 +58,7 @@ pub use error::VideoError;
 pub use frame::{Grey, VideoFrame};
 pub use kind::is_video_file;
 pub use monogrid_bags::is_bag as is_recording;
+pub use mp4::read_telemetry;
 pub use recording::Recorded;
 
 use clock::Clock;

@@ -2,12 +2,14 @@
 
 pub mod depth_images;
 pub mod frame_colours;
+pub mod frame_masks;
 pub mod image_files;
 pub mod readings;
 pub mod seen;
 pub mod video_source;
 
 use self::frame_colours::FrameColours;
+use self::frame_masks::FrameMasks;
 use self::image_files::read_files;
 use self::readings::Inertial;
 use self::seen::Motion;
@@ -25,10 +27,11 @@ use monogrid_geometry::{Camera, Pinhole, ReadoutDirection, Se3};
 use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
 use monogrid_pipeline::{Preparation, SourceFrame, Unusable};
 
-use monogrid_video::{Patience, is_recording};
+use monogrid_video::{Patience, is_recording, is_video_file};
 use monogrid_worlds::SynthSequence;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
@@ -54,13 +57,17 @@ impl Images {
         (frames, reading): (&[FrameEntry], &'a Reading),
         colours: Option<&'a FrameColours>,
     ) -> Box<dyn Iterator<Item = VideoItem> + Send + 'a> {
-        match self {
+        let items = match self {
             Self::Files(dataset) => {
                 let files = (frames.to_vec(), reading.levels, dataset.pixel_budget());
                 read_files(files, reading.patience, &reading.cpu_ns)
             }
             Self::Video(video) => video.frames(colours),
             Self::Rendered(_) => Box::new(std::iter::empty()),
+        };
+        match &reading.masks {
+            Some(masks) => masks.applied(items),
+            None => items,
         }
     }
 
@@ -98,6 +105,8 @@ pub struct Reading {
     patience: Patience,
     /// What the files use of 16 bits.
     pub levels: Levels,
+    /// What must not be seen of each frame.
+    pub masks: Option<Arc<FrameMasks>>,
     /// CPU time of the last reading of files, ns.
     cpu_ns: AtomicU64,
 }
@@ -107,6 +116,7 @@ impl Default for Reading {
         Self {
             patience: Patience::default(),
             levels: Levels::ALL,
+            masks: None,
             cpu_ns: AtomicU64::default(),
         }
     }
@@ -138,11 +148,13 @@ impl RawInput {
         let reading = Reading::with(args.patience(source));
         if is_video(source) {
             let video = VideoSource::open(source, args)?;
+            let (name, images) = (video.name(), Images::Video(Box::new(video)));
+            let masks = FrameMasks::open(args, None)?.map(Arc::new);
             return Ok(Self {
-                name: video.name(),
-                images: Images::Video(Box::new(video)),
+                name,
+                images,
                 frames: Vec::new(),
-                reading,
+                reading: Reading { masks, ..reading },
             });
         }
         let options = SourceOptions { fps: args.fps };
@@ -150,11 +162,18 @@ impl RawInput {
         // those of the whole source: what a part of it shows is the same as in the whole
         let levels = Levels::of_images(dataset.frames.iter().map(|frame| &*frame.path));
         dataset.warnings.extend(levels.note());
+        let (name, frames) = (dataset.name.clone(), selected(&dataset, args)?);
+        let images = Images::Files(Box::new(dataset));
+        let masks = FrameMasks::open(args, Some(&frames))?.map(Arc::new);
         Ok(Self {
-            name: dataset.name.clone(),
-            frames: selected(&dataset, args)?,
-            images: Images::Files(Box::new(dataset)),
-            reading: Reading { levels, ..reading },
+            name,
+            images,
+            frames,
+            reading: Reading {
+                levels,
+                masks,
+                ..reading
+            },
         })
     }
 
@@ -332,7 +351,8 @@ impl Input {
                 read_photometric(dataset.response_path.as_deref(), vignette).bad_input()
             },
         )?;
-        let preparation = preparation(&known, (args, usual, fixed.as_ref()), photometric)?;
+        let camera = (&known, raw.reading.masks.is_some());
+        let preparation = preparation(camera, (args, usual, fixed.as_ref()), photometric)?;
         let (inertial, no_readings) = readings(&raw, args, known.body_from_camera)?;
         let mut warnings = match &raw.images {
             Images::Files(dataset) => dataset.warnings.clone(),
@@ -487,7 +507,11 @@ impl Input {
         match &self.images {
             Images::Files(_) => {
                 let image = read_gray_in(&frame.path, self.reading.levels);
-                image.map_err(|error| Unusable::Unreadable(error.to_string()))
+                let image = image.map_err(|error| Unusable::Unreadable(error.to_string()))?;
+                match &self.reading.masks {
+                    Some(masks) => masks.apply_to(frame.index, image),
+                    None => Ok(image),
+                }
             }
             Images::Video(_) => Err(Unusable::Unreadable("a video lists no frames".to_owned())),
             Images::Rendered(sequence) => {
@@ -508,10 +532,13 @@ impl Input {
 
     /// What was wrong with the frames of a video, in sentences.
     pub fn faults(&self) -> Vec<String> {
-        match &self.images {
+        let mut faults = match &self.images {
             Images::Video(video) => video.faults(),
             Images::Files(_) | Images::Rendered(_) => Vec::new(),
-        }
+        };
+        let masks = self.reading.masks.as_ref();
+        faults.extend(masks.and_then(|masks| masks.fault()));
+        faults
     }
 
     /// What kind of source it is, for people.
@@ -629,6 +656,15 @@ fn readings(
             Err(reason) => (None, Some(reason)),
         });
     }
+    if let Images::Video(video) = &raw.images
+        && args.imu.is_none()
+        && is_video_file(&video.path)
+    {
+        return Ok(match Inertial::of_camera(args, &video.path)? {
+            Ok(inertial) => (inertial, None),
+            Err(reason) => (None, Some(reason)),
+        });
+    }
     let inertial = Inertial::open(args, raw.dataset(), body_from_camera)?;
     Ok((inertial, None))
 }
@@ -702,14 +738,15 @@ fn no_calibration(reason: &str) -> Failure {
     ))
 }
 
-/// From images of this camera to working images.
+/// From images of this camera, where each has a mask of its own or not, to working images.
 fn preparation(
-    known: &KnownCamera,
+    (known, has_masks): (&KnownCamera, bool),
     (args, usual, fixed): (&SourceArgs, WorkingSize, Option<&FixedPart>),
     photometric: Photometric,
 ) -> Result<Preparation, Failure> {
     let camera = &known.camera;
-    let users = user_mask(args.mask.as_deref(), (camera.width, camera.height))?;
+    let file = args.mask.as_deref().filter(|_| !has_masks);
+    let users = user_mask(file, (camera.width, camera.height))?;
     let mask = both(users, fixed.map(|fixed| &fixed.mask));
     let size = match args.size {
         None => usual,

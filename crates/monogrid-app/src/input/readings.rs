@@ -7,6 +7,7 @@ use monogrid_bags::Bag;
 use monogrid_datasets::{Dataset, ImuFile, read_transform};
 use monogrid_geometry::Se3;
 use monogrid_inertial::{Imu, ImuNoise, ImuSample};
+use monogrid_video::read_telemetry;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -112,6 +113,34 @@ impl Inertial {
         let interpretation = format!("topic {}", readings.topic);
         let of = (recording.to_owned(), interpretation);
         Ok(Ok(Some(Self::of(of, &readings.samples, None, mount, args))))
+    }
+
+    /// The readings that a camera wrote beside a video; or why they are left out.
+    pub fn of_camera(
+        args: &SourceArgs,
+        video: &Path,
+    ) -> Result<Result<Option<Self>, String>, Failure> {
+        let telemetry = read_telemetry(video).bad_input()?;
+        let Some(telemetry) = telemetry else {
+            return Ok(Ok(None));
+        };
+        let samples = telemetry.samples();
+        if samples.is_empty() {
+            let why = "nothing says which axes the inertial readings of the camera are along";
+            let why = telemetry
+                .has_unknown_axes
+                .then(|| format!("{why}: they are left out"));
+            return Ok(why.map_or(Ok(None), Err));
+        }
+        let Some(mount) = given_mount(args)? else {
+            return Ok(Err(
+                "inertial readings of the camera are left out: nothing says how its sensor is \
+                 mounted; give --imu-from-camera FILE, and film without stabilisation"
+                    .to_owned(),
+            ));
+        };
+        let of = (video.to_owned(), "written by the camera (GPMF)".to_owned());
+        Ok(Ok(Some(Self::of(of, &samples, None, mount, args))))
     }
 
     /// Readings on the clock of the images, of a sensor on which the camera is mounted like this.

@@ -6,7 +6,7 @@
 
 use crate::process::failure::{Classify, Failure};
 use crate::run::sensed::SensedFrame;
-use monogrid_datasets::{Dataset, SourceOptions, TimedPose, read_sim3, read_trajectory};
+use monogrid_datasets::{Dataset, SourceOptions, TimedPose, read_path, read_sim3};
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
 use monogrid_geometry::{Se3, Sim3, Vec3};
 use monogrid_mapping::{
@@ -298,7 +298,7 @@ fn origin(floor: Option<&Floor>, is_up_certain: bool) -> &'static str {
 /// of a data set.
 pub fn read_reference(path: &Path) -> Result<Vec<TimedPose>, Failure> {
     if !path.is_dir() {
-        return read_trajectory(path).bad_input();
+        return read_path(path).bad_input();
     }
     let dataset = Dataset::open(path, SourceOptions::default()).bad_input()?;
     let poses = dataset.reference_trajectory().bad_input()?;

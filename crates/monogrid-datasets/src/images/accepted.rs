@@ -1,8 +1,8 @@
 //! What is accepted as an image: endings of names, sizes.
 
 /// File names that are taken for images; their content decides about the format.
-pub(crate) const IMAGE_ENDINGS: [&str; 9] = [
-    "png", "jpg", "jpeg", "pgm", "ppm", "pnm", "tif", "tiff", "webp",
+pub(crate) const IMAGE_ENDINGS: [&str; 10] = [
+    "png", "jpg", "jpeg", "pgm", "ppm", "pnm", "tif", "tiff", "webp", "bmp",
 ];
 
 /// Longest side that is decoded, px: a header that claims more is taken for corruption.

@@ -1,4 +1,5 @@
-//! Images recognised by content: PNG, JPEG, PBM/PGM/PPM, TIFF, WebP; 8 and 16 bits; grey or colour.
+//! Images recognised by content: PNG, JPEG, PBM/PGM/PPM, TIFF, WebP, BMP; 8 and 16 bits; grey or
+//! colour.
 
 use super::accepted::{MAX_DECODE_BYTES, MAX_PIXELS, MAX_SIDE};
 use super::levels::Levels;
@@ -16,13 +17,14 @@ pub(super) enum Format {
     Pnm,
     Tiff,
     WebP,
+    Bmp,
 }
 
 /// Reads an image as ITU-601 luma in [0, 255].
 ///
 /// # Errors
-/// When the file cannot be read, is not a PNG, JPEG, PBM, PGM, PPM, TIFF or WebP, or is not
-/// complete and undamaged (a partly decoded image is never returned).
+/// When the file cannot be read, is not a PNG, JPEG, PBM, PGM, PPM, TIFF, WebP or BMP, or is
+/// not complete and undamaged (a partly decoded image is never returned).
 pub fn read_gray(path: &Path) -> Result<GrayImage, DatasetError> {
     read_gray_in(path, Levels::ALL)
 }
@@ -163,10 +165,7 @@ pub(super) fn sniff(bytes: &[u8], path: &Path) -> Result<Format, DatasetError> {
             b'P',
             ..,
         ] => Ok(Format::WebP),
-        [b'B', b'M', ..] => Err(DatasetError::image(
-            path,
-            "a BMP, which is not read; PNG is",
-        )),
+        [b'B', b'M', ..] => Ok(Format::Bmp),
         _ => {
             let reason = "its content is no format that we know";
             Err(DatasetError::image(path, reason))
@@ -180,6 +179,7 @@ pub(super) fn decode_raster(bytes: &[u8], path: &Path) -> Result<Raster, Dataset
         Format::Pnm => decode_pnm(bytes),
         Format::Tiff => others::decode_tiff(bytes),
         Format::WebP => others::decode_webp(bytes),
+        Format::Bmp => others::decode_bmp(bytes),
         Format::Png | Format::Jpeg => decode_png(bytes, [MAX_SIDE; 2], MAX_DECODE_BYTES),
     };
     decoded.map_err(|e| DatasetError::image(path, e))

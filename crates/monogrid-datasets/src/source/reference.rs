@@ -2,7 +2,7 @@
 
 use super::{Dataset, Layout, folder, icl};
 use crate::text::{data_lines, numbers, read_text};
-use crate::trajectory::{parse_kitti, parse_trajectory, pose_from_matrix};
+use crate::trajectory::{parse_kitti, parse_path, pose_from_matrix};
 use crate::{DatasetError, TimedPose};
 use monogrid_geometry::Se3;
 
@@ -31,7 +31,7 @@ impl Dataset {
             let times: Vec<i64> = self.frames.iter().map(|f| f.timestamp_ns).collect();
             return parse_kitti(&text, &times, path).map(Some);
         }
-        let mut poses = parse_trajectory(&text, path)?;
+        let mut poses = parse_path(&text, path)?;
         if self.layout == Layout::IclNuim {
             return Ok(Some(icl::poses_of(
                 poses,

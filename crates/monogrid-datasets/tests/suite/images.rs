@@ -337,11 +337,72 @@ fn tiff_and_webp_are_read_whole_or_not_at_all() {
             }
         }
     }
-    let error = decode_gray(b"BM\x36\0\0\0", path()).expect_err("a BMP");
-    assert!(
-        error.to_string().contains("a BMP, which is not read"),
-        "{error}"
-    );
+}
+
+/// A BMP of this many bits: 24 or 32 are colours, 8 an image in grey with its palette, rows from
+/// the bottom up or, with a negative height, from the top down.
+pub fn bmp(image: &Image<[u8; 3]>, bits: usize, is_upright: bool) -> Vec<u8> {
+    let (width, height) = (image.width(), image.height());
+    let palette: Vec<u8> = match bits {
+        8 => (0..=255).flat_map(|k| [k, k, k, 0]).collect(),
+        _ => Vec::new(),
+    };
+    let begin = 54 + palette.len();
+    let mut rows = Vec::new();
+    for row in 0..height {
+        let y = if is_upright { row } else { height - 1 - row };
+        for [r, g, b] in image.row(y) {
+            rows.extend_from_slice(&match bits {
+                8 => vec![*g],
+                24 => vec![*b, *g, *r],
+                _ => vec![*b, *g, *r, 255],
+            });
+        }
+        while rows.len() % 4 > 0 {
+            rows.push(0);
+        }
+    }
+    let mut bytes = b"BM".to_vec();
+    let signed = if is_upright {
+        -(height as i32)
+    } else {
+        height as i32
+    };
+    let word = |value: usize| (value as u32).to_le_bytes();
+    for field in [begin + rows.len(), 0, begin, 40, width] {
+        bytes.extend(word(field));
+    }
+    bytes.extend(signed.to_le_bytes());
+    bytes.extend(word(1 | bits << 16));
+    for field in [0, rows.len(), 0, 0, palette.len() / 4, 0] {
+        bytes.extend(word(field));
+    }
+    [bytes, palette, rows].concat()
+}
+
+#[test]
+fn bmp_is_read_whole_or_not_at_all() {
+    let tinted = colour(31, 20);
+    for (bits, is_upright) in [(24, false), (24, true), (32, false), (8, false)] {
+        let bytes = bmp(&tinted, bits, is_upright);
+        let decoded = decode_gray(&bytes, path()).expect("decodes");
+        for (value, [r, g, b]) in decoded.as_slice().iter().zip(tinted.as_slice()) {
+            let expected = if bits == 8 { [*g; 3] } else { [*r, *g, *b] };
+            assert!((value - luma(expected)).abs() < 1e-3, "{bits} bits");
+        }
+        for length in 0..bytes.len() {
+            let cut = decode_gray(&bytes[..length], path());
+            assert!(
+                cut.is_err(),
+                "{bits} bits, cut to {length} of {}",
+                bytes.len()
+            );
+        }
+    }
+    let mut compressed = bmp(&tinted, 8, false);
+    compressed[30] = 1;
+    let error = decode_gray(&compressed, path()).expect_err("run lengths");
+    assert!(error.to_string().contains("compressed"), "{error}");
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Valid files of every kind, damaged in the same thousands of ways at every run: readers return
 //! an error or a usable value, never a panic, and never much more memory than the file has bytes.
 
-use super::images::{colour, tiff_and_webp, wide_tiff};
+use super::images::{bmp, colour, tiff_and_webp, wide_tiff};
 use super::recording::recording_bytes;
 use monogrid_datasets::{
     Calibration, DepthCalibration, ReadOptions, RecordingReader, ScansReader, decode_gray,
@@ -244,7 +244,11 @@ fn damaged_calibrations_are_those_of_a_real_camera_or_errors() {
 fn damaged_images_of_other_formats_are_images_or_errors() {
     let wide: Vec<u16> = (0..24 * 17).map(|k| 160 * k).collect();
     let [tiff, webp] = tiff_and_webp(&colour(24, 17));
-    for file in [wide_tiff(24, 17, &wide), tiff, webp] {
+    let bmps = [8, 24, 32].map(|bits| bmp(&colour(24, 17), bits, false));
+    for file in [wide_tiff(24, 17, &wide), tiff, webp]
+        .into_iter()
+        .chain(bmps)
+    {
         let mut tried = Tried::default();
         for bytes in mutations(&file, 1500) {
             if let Some(image) = tried.count(decode_gray(&bytes, path())) {

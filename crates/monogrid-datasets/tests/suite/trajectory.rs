@@ -1,7 +1,8 @@
 //! Trajectory and Sim(3) files.
 
 use monogrid_datasets::{
-    TimedPose, format_sim3, format_tum, parse_trajectory, read_sim3, write_sim3, write_tum,
+    TimedPose, format_sim3, format_tum, parse_trajectory, read_path, read_sim3, write_sim3,
+    write_tum,
 };
 use monogrid_geometry::{Se3, Sim3, Vec3, Vec6, Vec7};
 use proptest::prelude::*;
@@ -69,6 +70,29 @@ fn matrices_covariances_and_names_of_columns() {
     );
     let named = "timestamp tx ty tz qx qy qz qw\n1.5 1 2 3 0 0 0 1\n";
     assert_eq!(parse_trajectory(named, path()).expect("named"), poses);
+}
+
+#[test]
+fn positions_alone_are_a_path_and_no_trajectory() {
+    let folder = tempfile::tempdir().expect("folder");
+    let file = folder.path().join("prism.csv");
+    for text in [
+        "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m]\n1403715523912143104,1,2,3\n\
+         1403715523962143104,1,2,4\n",
+        "1403715523.962143104 1 2 4\n1403715523.912143104 1 2 3\n",
+    ] {
+        std::fs::write(&file, text).expect("writable");
+        let path = read_path(&file).expect("positions");
+        assert_eq!(path[0].timestamp_ns, 1_403_715_523_912_143_104);
+        let pose = path[1].world_from_camera;
+        assert_eq!(pose, Se3::new(Default::default(), Vec3::new(1.0, 2.0, 4.0)));
+        let error = parse_trajectory(text, &file).expect_err("no orientations");
+        assert!(error.to_string().contains("quaternion"), "{error}");
+    }
+    for text in ["1 0 0\n", "1 0 0 inf\n", "1 0 0 0\n2 0 0\n"] {
+        std::fs::write(&file, text).expect("writable");
+        assert!(read_path(&file).is_err(), "{text}");
+    }
 }
 
 #[test]

@@ -13,15 +13,16 @@ const STRAIGHT: f64 = 0.01;
 const ORIENTATION_WEIGHT: f64 = 1e-3;
 
 /// The similarity or rigid transform that brings the estimated positions closest to the true ones;
-/// on a straight path the angle around it comes from the orientations.
+/// on a straight path the angle around it comes from the orientations, where they are known.
 pub(super) fn align(
     pairs: &[PosePair],
     alignment: TrajectoryAlignment,
+    has_orientations: bool,
 ) -> Result<Sim3, AlignmentError> {
     let Some(with_scale) = alignment.with_scale() else {
         return Ok(Sim3::identity());
     };
-    if let Some(aligned) = along_a_line(pairs, with_scale) {
+    if has_orientations && let Some(aligned) = along_a_line(pairs, with_scale) {
         return Ok(aligned);
     }
     let (source, target): (Vec<Vec3>, Vec<Vec3>) = pairs.iter().map(positions).unzip();
@@ -167,7 +168,7 @@ mod tests {
     fn straight_paths_are_aligned_by_orientation_too() {
         let truth = twist([3.0, -1.0, 2.0, 0.4, 1.2, -0.7]).with_scale(2.5);
         for across in [0.0, 1e-9, 0.001, 0.05, 2.0] {
-            let found = align(&pairs(&truth, across), TrajectoryAlignment::Sim3).unwrap();
+            let found = align(&pairs(&truth, across), TrajectoryAlignment::Sim3, true).unwrap();
             let angle = found.rotation.angle_to(&truth.rotation);
             assert!(angle < 1e-6, "{across}: {angle}");
             assert!((found.scale / truth.scale - 1.0).abs() < 1e-9, "{across}");
@@ -177,7 +178,7 @@ mod tests {
             );
         }
         let rigid = truth.to_se3().with_scale(1.0);
-        let found = align(&pairs(&rigid, 0.0), TrajectoryAlignment::Se3).unwrap();
+        let found = align(&pairs(&rigid, 0.0), TrajectoryAlignment::Se3, true).unwrap();
         assert!(found.rotation.angle_to(&rigid.rotation) < 1e-6 && found.scale == 1.0);
     }
 
@@ -199,6 +200,6 @@ mod tests {
             pair.gt_from_camera.translation = Vec3::zeros();
             pair.est_from_camera.translation = Vec3::zeros();
         }
-        assert!(align(&still, TrajectoryAlignment::Sim3).is_err());
+        assert!(align(&still, TrajectoryAlignment::Sim3, true).is_err());
     }
 }

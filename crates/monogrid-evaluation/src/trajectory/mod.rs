@@ -175,6 +175,9 @@ pub struct TrajectoryReport {
     pub path_length: f64,
     /// How the estimate was aligned.
     pub alignment: TrajectoryAlignment,
+    /// Whether both say how the camera was turned. Where one has the same orientation all the time,
+    /// it has positions alone: errors of rotations are 0 then, and nobody knows them.
+    pub has_orientations: bool,
     /// The alignment: true world from estimated world.
     #[serde(skip)]
     pub gt_from_est: Sim3,
@@ -196,20 +199,16 @@ pub fn evaluate_trajectory(
     validate(config)?;
     let estimate = checked_and_sorted(estimate, "estimated")?;
     let truth = checked_and_sorted(truth, "true")?;
-    let pairs = associate::associate(&estimate, &truth, config.max_difference_secs);
-    // poses that determine it, and something to compare
-    let expected = config.alignment.with_scale().map_or(2, |_| 3);
-    let too_few = || TrajectoryError::TooFewMatches {
-        found: pairs.len(),
-        expected,
-        estimated: estimate.len(),
-        truth: truth.len(),
-        max_difference_secs: config.max_difference_secs,
-    };
-    if pairs.len() < expected {
+    let mut pairs = associate::associate(&estimate, &truth, config.max_difference_secs);
+    let (found, lengths) = (pairs.len(), (estimate.len(), truth.len()));
+    let too_few = || too_few(found, lengths, config);
+    if found < num_expected(config.alignment) {
         return Err(too_few());
     }
-    let gt_from_est = align(&pairs, config.alignment)?;
+    let are_turned = [&estimate, &truth].map(|poses| is_turned(poses));
+    let has_orientations = are_turned == [true; 2];
+    let gt_from_est = align(&pairs, config.alignment, has_orientations)?;
+    complete(&mut pairs, are_turned, &gt_from_est);
     let apply_to = |p: &PosePair| apply(&gt_from_est, &p.est_from_camera);
     let aligned: Vec<Se3> = pairs.iter().map(apply_to).collect();
     let ate = ErrorSummary::of(&position_errors(&pairs, &aligned)).ok_or_else(too_few)?;
@@ -250,6 +249,7 @@ pub fn evaluate_trajectory(
         frame_interval_secs,
         path_length: path_length(&pairs),
         alignment: config.alignment,
+        has_orientations,
         gt_from_est,
     })
 }
@@ -283,6 +283,44 @@ fn checked_and_sorted(
     let mut sorted = poses.to_vec();
     sorted.sort_by_key(|p| p.0);
     Ok(sorted)
+}
+
+/// Poses that determine an alignment, and something to compare.
+fn num_expected(alignment: TrajectoryAlignment) -> usize {
+    alignment.with_scale().map_or(2, |_| 3)
+}
+
+fn too_few(
+    found: usize,
+    (estimated, truth): (usize, usize),
+    config: &TrajectoryConfig,
+) -> TrajectoryError {
+    TrajectoryError::TooFewMatches {
+        found,
+        expected: num_expected(config.alignment),
+        estimated,
+        truth,
+        max_difference_secs: config.max_difference_secs,
+    }
+}
+
+/// Takes orientations that are not known, of the estimate and of the truth, from the other one.
+fn complete(pairs: &mut [PosePair], are_known: [bool; 2], gt_from_est: &Sim3) {
+    for pair in pairs {
+        let (est, gt) = (&mut pair.est_from_camera, &mut pair.gt_from_camera);
+        match are_known {
+            [true, true] => {}
+            [false, true] => est.rotation = gt_from_est.rotation.inverse() * gt.rotation,
+            [_, false] => gt.rotation = gt_from_est.rotation * est.rotation,
+        }
+    }
+}
+
+/// Whether poses have more than one orientation: no camera is held that still.
+fn is_turned(poses: &[StampedPose]) -> bool {
+    poses
+        .windows(2)
+        .any(|pair| pair[0].1.rotation != pair[1].1.rotation)
 }
 
 /// The pose of the camera in the true world: its scale acts on the position only.

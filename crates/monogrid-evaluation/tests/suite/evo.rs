@@ -187,3 +187,50 @@ fn the_tilt_is_that_of_the_vertical_whatever_is_aligned() {
     assert!(tilt(Vec3::z() * 0.7) < 1e-6);
     assert!((tilt(Vec3::y() * 0.01) - 0.01f64.to_degrees()).abs() < 1e-6);
 }
+
+#[test]
+fn positions_alone_tell_no_rotation_and_the_same_positions() {
+    let known = "0.0 0 0 0 0 0 0 1\n0.1 1 0 0 0 0 0.6 0.8\n0.2 2 1 0 0 0.6 0 0.8\n0.3 2 2 1 \
+                 0.6 0 0 0.8\n0.4 1 3 2 0 0 0 1";
+    let moved = |(time, pose): &StampedPose| {
+        let turn = rotation_exp(&Vec3::new(0.3, -0.2, 1.0));
+        let wobble = rotation_exp(&Vec3::new(0.0, 0.1 * (*time % 7) as f64, 0.0));
+        let position = turn * (pose.translation * 0.4) + Vec3::new(5.0, 1.0, 0.0);
+        (*time, Se3::new(turn * pose.rotation * wobble, position))
+    };
+    let truth = parse(known);
+    let estimate: Vec<StampedPose> = truth.iter().map(moved).collect();
+    let positions = |poses: &[StampedPose]| -> Vec<StampedPose> {
+        let alone = |pose: &Se3| Se3::new(Rotation::identity(), pose.translation);
+        poses
+            .iter()
+            .map(|(time, pose)| (*time, alone(pose)))
+            .collect()
+    };
+    let config = TrajectoryConfig::default();
+    let compare =
+        |a: &[StampedPose], b: &[StampedPose]| evaluate_trajectory(a, b, &config).unwrap();
+    let both = compare(&estimate, &truth);
+    assert!(both.has_orientations && both.wrong_share > 0.0);
+    for (estimate, truth) in [
+        (estimate.clone(), positions(&truth)),
+        (positions(&estimate), truth.clone()),
+        (positions(&estimate), positions(&truth)),
+    ] {
+        let found = compare(&estimate, &truth);
+        assert!(!found.has_orientations);
+        assert!((found.scale - both.scale).abs() < 1e-9 && found.ate_rmse < 1e-9);
+        assert!(found.rpe_trans_rmse < 1e-6, "{}", found.rpe_trans_rmse);
+        assert!(found.rpe_rot_rmse_deg < 1e-6 && found.wrong_share == 0.0);
+    }
+    // along a line they do not say how the estimate is turned around it
+    let line: Vec<StampedPose> = (0..5)
+        .map(|k| {
+            (
+                k * 100_000_000,
+                Se3::new(Rotation::identity(), k as f64 * Vec3::x()),
+            )
+        })
+        .collect();
+    assert!(evaluate_trajectory(&estimate, &line, &config).is_err());
+}

@@ -1,8 +1,10 @@
 //! MP4 and MOV (ISO 14496-12): the video track, its samples, when and how they are shown.
 
 mod samples;
+mod telemetry;
 
 pub(crate) use samples::{Sample, Samples};
+pub use telemetry::read_telemetry;
 
 use crate::VideoError;
 use crate::opened::Elsewhere;

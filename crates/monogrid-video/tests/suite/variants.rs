@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::print_stderr, reason = "tests")]
 
 use monogrid_image::Image;
-use monogrid_video::{Patience, Video, VideoError, VideoFrame, is_video_file};
+use monogrid_video::{Patience, Video, VideoError, VideoFrame, is_video_file, read_telemetry};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -292,7 +292,17 @@ fn frames_in_a_hole_are_counted() {
     bytes[middle..middle + (moov - mdat) / 4].fill(0);
     std::fs::write(&path, bytes).unwrap();
     let mut video = Video::open(&path).unwrap();
-    let shown = video.by_ref().filter(Result::is_ok).count();
+    let shown: Vec<i64> = video
+        .by_ref()
+        .filter_map(|frame| Some(frame.ok()?.timestamp_ns))
+        .collect();
+    // pictures whose order nobody knows are left out, not put right behind the ones before
+    assert!(
+        shown.windows(2).all(|pair| pair[1] > pair[0] + 1_000_000),
+        "{shown:?}"
+    );
+    assert_eq!(video.repaired_times(), 0);
+    let shown = shown.len();
     let errors = 30 - shown;
     let faults = video.faults().join(" ");
     let missing = faults
@@ -415,4 +425,84 @@ fn coded_video_in_a_recording_is_decoded() {
             assert!(video.count() <= 4);
         }
     }
+}
+
+/// The video with a track of packets beside it, as cameras of GoPro write it: 0.5 s each.
+fn with_telemetry(packets: &[Vec<u8>]) -> Vec<u8> {
+    let list = |numbers: &[u32]| -> Vec<u8> {
+        numbers
+            .iter()
+            .flat_map(|number| number.to_be_bytes())
+            .collect()
+    };
+    let mut bytes = original();
+    let moov = at(&bytes, b"moov");
+    let size = u32::from_be_bytes(bytes[moov..moov + 4].try_into().unwrap());
+    assert_eq!(moov + size as usize, bytes.len(), "the index is the last");
+    let mut index = bytes.split_off(moov);
+    let (mut offsets, mut sizes) = (vec![0, packets.len() as u32], vec![0, 0]);
+    sizes.push(packets.len() as u32);
+    for packet in packets {
+        offsets.push(bytes.len() as u32 + 8);
+        sizes.push(packet.len() as u32);
+        bytes.extend(boxed(b"mdat", packet));
+    }
+    let kind = [list(&[0, 1]), boxed(b"gpmd", &[0; 8])].concat();
+    let table = [
+        boxed(b"stsd", &kind),
+        boxed(b"stts", &list(&[0, 1, packets.len() as u32, 500])),
+        boxed(b"stsc", &list(&[0, 1, 1, 1, 1])),
+        boxed(b"stsz", &list(&sizes)),
+        boxed(b"stco", &list(&offsets)),
+    ];
+    let media = [
+        boxed(b"mdhd", &list(&[0, 0, 0, 1000, 500, 0])),
+        boxed(b"hdlr", &[&[0; 8], b"meta".as_slice(), &[0; 13]].concat()),
+        boxed(b"minf", &boxed(b"stbl", &table.concat())),
+    ];
+    index.extend(boxed(b"trak", &boxed(b"mdia", &media.concat())));
+    let size = index.len() as u32;
+    index[..4].copy_from_slice(&size.to_be_bytes());
+    [bytes, index].concat()
+}
+
+#[test]
+fn what_a_camera_writes_beside_the_picture_has_the_times_of_its_packets() {
+    let item = |key: &[u8; 4], kind: u8, size: u8, repeat: u16, data: &[u8]| {
+        [&key[..], &[kind, size], &repeat.to_be_bytes(), data].concat()
+    };
+    let packet = |latitude: i32| {
+        let place = [latitude, 85_000_000, 400_000, 0, 0]
+            .map(i32::to_be_bytes)
+            .concat();
+        let scales = [10_000_000_i32, 10_000_000, 1000, 1000, 100].map(i32::to_be_bytes);
+        let stream = [
+            item(b"SCAL", b'l', 4, 5, &scales.concat()),
+            item(b"GPS5", b'l', 20, 1, &place),
+        ];
+        let stream = stream.concat();
+        let stream = item(b"STRM", 0, 1, stream.len() as u16, &stream);
+        item(b"DEVC", 0, 1, stream.len() as u16, &stream)
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("GX010001.MP4");
+    let whole = with_telemetry(&[
+        packet(470_000_000),
+        packet(470_000_100),
+        packet(470_000_200),
+    ]);
+    std::fs::write(&path, &whole).unwrap();
+    let places = read_telemetry(&path).unwrap().unwrap().places;
+    let times: Vec<i64> = places.iter().map(|(time_ns, _)| *time_ns).collect();
+    assert_eq!(times, [0, 500_000_000, 1_000_000_000]);
+    assert!((places[2].1.latitude - 47.000_02).abs() < 1e-9);
+    assert_eq!(places[2].1.altitude, Some(400.0));
+    // and it is a video as before
+    assert_eq!(frames(&mut Video::open(&path).unwrap()).len(), 30);
+    for cut in (0..whole.len()).step_by(97) {
+        std::fs::write(&path, &whole[..cut]).unwrap();
+        let _ = read_telemetry(&path).unwrap();
+    }
+    std::fs::write(&path, original()).unwrap();
+    assert_eq!(read_telemetry(&path).unwrap(), None);
 }

@@ -16,7 +16,7 @@ use monogrid_app::run::outputs::frame_times_ns;
 use monogrid_app::run::sessions::Source;
 use monogrid_datasets::{
     Dataset, DepthRegistration, RecordedCamera, Recording, Scale, SourceOptions, format_sim3,
-    read_trajectory,
+    read_path,
 };
 use monogrid_evaluation::{
     DepthConfig, DepthEvaluator, DepthReport, KeyframeDepth, TrajectoryAlignment, TrajectoryConfig,
@@ -90,7 +90,7 @@ pub fn trajectory(args: &EvaluateTrajectoryArgs) -> CommandResult {
     let inputs = Inputs::of("the estimate", &args.estimate).and("the truth", &args.truth);
     let file = |path: &PathBuf| OutputFile::new(path, args.force, &inputs);
     let sim3 = args.write_sim3.as_ref().map(file).transpose()?;
-    let estimate = read_trajectory(&args.estimate).bad_input()?;
+    let estimate = read_path(&args.estimate).bad_input()?;
     let truth = read_reference(&args.truth)?;
     let folder = args.estimate.parent();
     // where the results of its run lie beside it, coverage counts all frames of that
@@ -128,9 +128,13 @@ fn print_trajectory(report: &TrajectoryReport) {
         "ATE   rmse {:.6}  mean {:.6}  median {:.6}  std {:.6}  max {:.6}",
         report.ate_rmse, report.ate_mean, report.ate_median, report.ate_std, report.ate_max
     );
+    let rotation = match report.has_orientations {
+        true => format!("rotation rmse {:.4} degrees", report.rpe_rot_rmse_deg),
+        false => "rotation unknown: one of both has positions alone".to_owned(),
+    };
     println!(
-        "RPE   translation rmse {:.6}  rotation rmse {:.4} degrees (over one frame)",
-        report.rpe_trans_rmse, report.rpe_rot_rmse_deg
+        "RPE   translation rmse {:.6}  {rotation} (over one frame)",
+        report.rpe_trans_rmse
     );
     println!(
         "scale {:.6}, drift {:.3} (largest over smallest of windows of 3 s)",

@@ -9,7 +9,7 @@ use monogrid_app::mapfile;
 use monogrid_app::output::{Inputs, OutputFile};
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
 use monogrid_app::run::outputs::path_of;
-use monogrid_datasets::read_trajectory;
+use monogrid_datasets::read_path;
 use monogrid_evaluation::{
     PosedDepth, Triangle, Truth, TruthConfig, TruthGrid, View, truth_from_depth_images,
     truth_from_points, truth_from_triangles,
@@ -281,7 +281,7 @@ pub fn triangles_of(mesh: &TriangleMesh, source: &Path) -> Result<Vec<Triangle>,
 }
 
 fn positions(trajectory: &Path) -> Result<Vec<[f64; 3]>, Failure> {
-    Ok(path_of(&read_trajectory(trajectory).bad_input()?))
+    Ok(path_of(&read_path(trajectory).bad_input()?))
 }
 
 /// Where the camera of a built-in world is carried along.

@@ -73,14 +73,21 @@ type CheckedFrame = (usize, i64, Result<GrayImage, Unusable>);
 
 /// All frames in order; files are decoded by all threads.
 fn frames(input: &Input) -> Box<dyn Iterator<Item = CheckedFrame> + '_> {
-    let Images::Files(dataset) = &input.images else {
-        return Box::new(input.source(None).map(|frame| {
+    let in_order = || {
+        Box::new(input.source(None).map(|frame| {
             let image = frame
                 .image
                 .and_then(|image| input.preparation.apply(&image));
             (frame.index, frame.timestamp_ns, image)
-        }));
+        }))
     };
+    let Images::Files(dataset) = &input.images else {
+        return in_order();
+    };
+    let masks = input.reading.masks.as_ref();
+    if masks.is_some_and(|masks| !masks.are_files()) {
+        return in_order();
+    }
     let mut budget = dataset.pixel_budget();
     Box::new(input.frames.chunks(CHUNK).flat_map(move |chunk| {
         let read = chunk.par_iter().map(|frame| (frame, input.read(frame)));

@@ -12,6 +12,7 @@ use monogrid_datasets::{
 };
 use monogrid_geometry::nalgebra::Matrix3;
 use monogrid_geometry::{Sim3, Vec3, align_similarity};
+use monogrid_video::{is_video_file, read_telemetry};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -44,6 +45,7 @@ impl Georeference {
         let path = read_trajectory(&run.join("trajectory.txt")).bad_input()?;
         let timed = match places.is_dir() {
             true => of_photographs(run, places)?,
+            false if is_video_file(places) => of_video(places)?,
             false => read_places_of_subtitles(places).bad_input()?,
         };
         let found = Self::fit(&path, &timed)
@@ -172,6 +174,20 @@ fn spreads(points: &[Vec3]) -> [f64; 3] {
     let mut spreads: [f64; 3] = covariance.symmetric_eigenvalues().into();
     spreads.sort_by(|a, b| b.total_cmp(a));
     spreads.map(|variance| variance.max(0.0).sqrt())
+}
+
+/// The places that a camera wrote beside a video.
+fn of_video(video: &Path) -> Result<Vec<TimedPlace>, Failure> {
+    let found = read_telemetry(video).bad_input()?;
+    let places = found.map(|found| found.places).unwrap_or_default();
+    if places.is_empty() {
+        return Err(Failure::input(format!(
+            "gps:{}: found no places in the video, expected those that a GoPro writes (GPMF, with \
+             the receiver switched on); with the subtitles of a drone give the .srt file",
+            video.display()
+        )));
+    }
+    Ok(places)
 }
 
 /// The places of the photographs in a folder at the times that the run gave to its frames.

@@ -36,8 +36,8 @@ pub struct RescaleArgs {
     pub run: PathBuf,
     /// Where the scale comes from: camera-height=1.5m (over the floor, median), distance:A,B=1.2m
     /// (points X:Y:Z of the results or pixels kID:X:Y of keyframes), trajectory:FILE in metres,
-    /// gps:PATH (subtitles of a drone, .srt, or the folder of photographs with places in their
-    /// Exif blocks), or factor=F metres per map unit
+    /// gps:PATH (subtitles of a drone, .srt, the video of a GoPro, or the folder of photographs
+    /// with places in their Exif blocks), or factor=F metres per map unit
     #[arg(long, value_name = "SOURCE", value_parser = ScaleFrom::parse)]
     pub scale_from: ScaleFrom,
     /// Output folder
@@ -79,7 +79,7 @@ pub fn execute(args: &RescaleArgs) -> CommandResult {
     match &args.scale_from {
         ScaleFrom::Trajectory(path) => inputs = inputs.and("the trajectory", path),
         ScaleFrom::Gps(path) if path.is_dir() => inputs = inputs.and_dataset(path)?,
-        ScaleFrom::Gps(path) => inputs = inputs.and("the subtitles", path),
+        ScaleFrom::Gps(path) => inputs = inputs.and("the places", path),
         _ => {}
     }
     let recording = Source::find(&args.run)?.read()?;

@@ -3,7 +3,7 @@
 use super::gps::Georeference;
 use monogrid_app::process::failure::{Classify, Failure};
 use monogrid_app::run::align::stamped_all;
-use monogrid_datasets::{Recording, read_trajectory};
+use monogrid_datasets::{Recording, read_path};
 use monogrid_evaluation::{TrajectoryConfig, evaluate_trajectory};
 use monogrid_geometry::{Sim3, Vec2, Vec3};
 use std::path::{Path, PathBuf};
@@ -105,7 +105,7 @@ impl ScaleFrom {
                 metres / height
             }
             Self::Trajectory(path) => {
-                let read = |path: &Path| read_trajectory(path).bad_input();
+                let read = |path: &Path| read_path(path).bad_input();
                 let estimate = results.run.join("trajectory.txt");
                 let (estimate, truth) = (read(&estimate)?, read(path)?);
                 let config = TrajectoryConfig::default();
