@@ -4,6 +4,8 @@ use monogrid_messages::builtin_interfaces::Time;
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering::Relaxed};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+/// Name of the parameter that says whether `/clock` counts.
+pub const SIMULATED: &str = "use_sim_time";
 /// What is older than the last of its kind by more than this, ns, is the first of a recording or
 /// simulation that begins again.
 pub const BEGINS_AGAIN_NS: i64 = 1_000_000_000;

@@ -66,7 +66,8 @@ fn run(args: Args) -> anyhow::Result<()> {
     let (news_sender, news) = sync_channel(NEWS_AHEAD);
     let counts = Arc::new(Counts::default());
     let clock = Arc::new(Clock::default());
-    let options = options(&args, work_sender.clone(), Arc::clone(&clock));
+    clock.simulate(args.use_sim_time);
+    let options = options(&args, work_sender.clone());
     let mut node = RosNode::new(&context, &args.namespace, &args.name, options)?;
     node.remap(&args.remap)?;
     let (least, time) = (args.least_severity(), Arc::clone(&clock));

@@ -1,7 +1,7 @@
 //! The thread of the middleware: hands on what comes, answers services, waits for nothing.
 
 use crate::args::{Args, FrameArgs, checked_scale};
-use crate::clock::Clock;
+use crate::clock::{Clock, SIMULATED};
 use crate::convert::{camera_of, imu_sample_of, pose_of_transform};
 use crate::node::{Quality, RosNode, Trigger, Wire};
 use crate::parameters::ParameterServices;
@@ -19,16 +19,13 @@ use ros2_client::{
     MessageInfo, Node, NodeOptions, ParameterValue, ReadError, ServiceTypeName, Subscription,
 };
 use std::pin::pin;
-use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 
 /// Name of the parameter that says how long a unit of the world is, m; 0 where nobody has told.
 const SCALE: &str = "metres_per_unit";
-/// Name of the parameter that says whether `/clock` counts.
-const SIMULATED: &str = "use_sim_time";
 
 /// A node with its parameter, which goes to the tracking thread when somebody sets it.
-pub fn options(args: &Args, work: WorkSender, clock: Arc<Clock>) -> NodeOptions {
+pub fn options(args: &Args, work: WorkSender) -> NodeOptions {
     let value = ParameterValue::Double(args.metres_per_unit.unwrap_or(0.0));
     NodeOptions::new()
         .enable_rosout(false)
@@ -45,10 +42,6 @@ pub fn options(args: &Args, work: WorkSender, clock: Arc<Clock>) -> NodeOptions 
         .parameter_set_action(Box::new(move |name, value| match value {
             ParameterValue::Double(metres) if name == SCALE => {
                 work.send(Work::Scale(told_scale(*metres)?))
-            }
-            ParameterValue::Boolean(is_simulated) if name == SIMULATED => {
-                clock.simulate(*is_simulated);
-                Ok(())
             }
             _ => Ok(()),
         }))
@@ -178,7 +171,7 @@ impl Inputs {
                 }
             }
         };
-        let services = future::join3(save, reset, self.parameters.serve(node));
+        let services = future::join3(save, reset, self.parameters.serve(node, clock));
         let time = take_time(&self.clock, work, clock);
         let others = future::join(services, time);
         future::join5(images, info, readings, odometry, others).await;
