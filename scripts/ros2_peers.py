@@ -337,8 +337,8 @@ def film(participant, sequence_folder):
     for fact in heard.last["diagnostics"].status[0].values:
         print(f"  {fact.key}: {fact.value}")
     print(f"arrived: {heard.counts}; load {os.getloadavg()}")
-    if heard.fact("messages not sent") != "0" or not heard.counts["points"]:
-        sys.exit("messages were not sent")
+    if silent := [name for name, count in heard.counts.items() if not count]:
+        sys.exit(f"nothing came on {silent}")
 
 
 def double(value):
@@ -365,8 +365,16 @@ def ask(participant, service, request, response):
     # one server for each way to write a service
     wait_for(f"service {service}", lambda: len(writer.get_matched_subscriptions()) == 2)
     wait_for(f"service {service}", lambda: len(reader.get_matched_publications()) == 2)
-    writer.write(request)
-    [answer] = wait_for(f"the answer of {service}", lambda: reader.take(N=5))
+    # an answer is lost where the server has not yet seen who reads it: whoever asks in ROS asks again
+    for patience in (3, 20):
+        writer.write(request)
+        try:
+            answer = wait_for(f"the answer of {service}", lambda: reader.take(N=5), patience)[0]
+            break
+        except SystemExit as unanswered:
+            print(unanswered, "- asked again" if patience == 3 else "")
+    else:
+        sys.exit(f"{service} does not answer")
     if (answer.client, answer.number) != (request.client, request.number):
         sys.exit(f"{service}: the answer to another request came: {answer}")
     return answer

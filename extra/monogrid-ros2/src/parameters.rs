@@ -43,6 +43,7 @@ impl ParameterServices {
     /// Answers what is asked of the parameters of a node; does not end.
     pub async fn serve(&self, node: &Node, clock: &Clock) {
         let value = |name: &String| node.get_parameter(name).unwrap_or(ParameterValue::NotSet);
+        let set_one = |parameter| set_one(node, clock, parameter);
         let list = self.list.answer(|request| {
             let is_below = |name: &str, prefix: &str| {
                 let rest = name.strip_prefix(prefix);
@@ -82,7 +83,7 @@ impl ParameterServices {
         });
         let set = self.set.answer(|request| {
             let parameters = request.parameter.into_iter();
-            let results = parameters.map(|parameter| set_one(node, clock, parameter).into());
+            let results = parameters.map(|parameter| set_one(parameter).into());
             ready(SetParametersResponse {
                 results: results.collect(),
             })
@@ -92,9 +93,7 @@ impl ParameterServices {
             let unknown = parameters.iter().find(|p| !node.has_parameter(&p.name));
             let result = match unknown {
                 Some(parameter) => Err(format!("there is no parameter {}", parameter.name)),
-                None => parameters
-                    .into_iter()
-                    .try_for_each(|p| set_one(node, clock, p)),
+                None => parameters.into_iter().try_for_each(set_one),
             };
             ready(SetParametersAtomicallyResponse {
                 result: result.into(),
