@@ -31,11 +31,8 @@ def memory_mb(pid):
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def main():
-    program, folder = sys.argv[1], Path(sys.argv[2])
-    minutes, hz = (float(sys.argv[k]) if len(sys.argv) > k else d for k, d in ((3, 10), (4, 30)))
-    command = [program, "--calibration", folder / "calibration.txt"]
-    node = subprocess.Popen(command, env={**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)})
+def grown(pid, folder, minutes, hz):
+    """Sends images; the memory of the node every 20 s, MB."""
     participant = DomainParticipant(DOMAIN)
     topic = Topic(participant, "rt/camera/image_raw", Image, qos=STREAM)
     writer = DataWriter(participant, topic, qos=STREAM)
@@ -54,10 +51,21 @@ def main():
         writer.write(Image(header, height, width, "mono8", 0, width, picture.tobytes()))
         if seconds >= told:
             told += 20
-            samples.append(memory_mb(node.pid))
+            samples.append(memory_mb(pid))
             print(f"{seconds:.0f} s, {index} images, {samples[-1]:.1f} MB", flush=True)
-    node.send_signal(signal.SIGINT)
-    node.wait(60)
+    return samples
+
+
+def main():
+    program, folder = sys.argv[1], Path(sys.argv[2])
+    minutes, hz = (float(sys.argv[k]) if len(sys.argv) > k else d for k, d in ((3, 10), (4, 30)))
+    command = [program, "--calibration", folder / "calibration.txt"]
+    node = subprocess.Popen(command, env={**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)})
+    try:
+        samples = grown(node.pid, folder, minutes, hz)
+    finally:
+        node.send_signal(signal.SIGINT)
+        node.wait(60)
     first, last = max(samples[: len(samples) // 3 + 1]), max(samples[-3:])
     print(f"grown from {first:.1f} to {last:.1f} MB: {100 * (last / first - 1):.1f} %")
     if last > first * (1 + MOST_GROWTH):

@@ -14,6 +14,7 @@ use monogrid_image::{GrayImage, Image};
 use monogrid_inertial::ImuSample;
 use monogrid_messages::builtin_interfaces::Time;
 use monogrid_messages::geometry_msgs::{Pose, Transform};
+use monogrid_messages::map_msgs::OccupancyGridUpdate;
 use monogrid_messages::nav_msgs::OccupancyGrid;
 use monogrid_messages::rcl_interfaces::{DEBUG, ERROR, INFO, WARN};
 use monogrid_messages::tf2_msgs::TFMessage;
@@ -341,6 +342,57 @@ fn ten_seconds_of_a_small_camera() {
     a_scale_makes_everything_longer(&loopback);
     a_reset_begins_a_new_map(&loopback, &film.images[0]);
     assert!(loopback.node.interrupt());
+}
+
+/// What the tests with a run look at can be wrong.
+#[test]
+fn grids_and_changes_that_nav2_would_not_take_are_noticed() {
+    let mut grid = OccupancyGrid::default();
+    grid.header.frame_id = "map".into();
+    grid.header.stamp = now();
+    grid.info.map_load_time = now();
+    grid.info.resolution = 0.05;
+    (grid.info.width, grid.info.height) = (3, 2);
+    grid.data = vec![0, -1, 100, 0, 0, 0];
+    let mut update = OccupancyGridUpdate {
+        header: grid.header.clone(),
+        x: 1,
+        y: 1,
+        width: 2,
+        height: 1,
+        data: vec![0, 100],
+    };
+    let grid_wrong = |change: fn(&mut OccupancyGrid)| {
+        let (mut heard, mut grid) = (Heard::default(), grid.clone());
+        change(&mut grid);
+        heard.check_grid(&grid);
+        heard.wrong.len()
+    };
+    assert_eq!(grid_wrong(|_| {}), 0);
+    for change in [
+        |grid: &mut OccupancyGrid| grid.header.frame_id.clear(),
+        |grid: &mut OccupancyGrid| grid.header.stamp.sec += 60,
+        |grid: &mut OccupancyGrid| grid.info.map_load_time = Time::default(),
+        |grid: &mut OccupancyGrid| grid.info.resolution = 0.0,
+        |grid: &mut OccupancyGrid| grid.info.width += 1,
+        |grid: &mut OccupancyGrid| grid.data[0] = 101,
+        |grid: &mut OccupancyGrid| grid.info.origin.position.z = 0.1,
+        |grid: &mut OccupancyGrid| grid.info.origin.orientation.x = 0.1,
+    ] {
+        assert_eq!(grid_wrong(change), 1);
+    }
+    let mut heard = Heard::default();
+    heard.check_update(&update);
+    assert_eq!(heard.wrong.len(), 1, "there is no grid");
+    heard = Heard {
+        grid: Some(grid),
+        ..Heard::default()
+    };
+    heard.check_update(&update);
+    assert_eq!(heard.wrong.len(), 0);
+    update.x = 2;
+    heard.check_update(&update);
+    assert_eq!(heard.wrong.len(), 1, "it ends beside the grid");
 }
 
 /// Without a listener no map is kept for one: the middleware kept all of them, and sent them all.

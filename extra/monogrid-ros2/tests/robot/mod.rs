@@ -162,7 +162,7 @@ impl Heard {
     }
 
     /// Notes what of a grid nav2 would not take.
-    fn check_grid(&mut self, grid: &OccupancyGrid) {
+    pub fn check_grid(&mut self, grid: &OccupancyGrid) {
         let (info, origin) = (&grid.info, &grid.info.origin);
         let (place, turn) = (origin.position, origin.orientation);
         let is_wrong = [
@@ -197,7 +197,7 @@ impl Heard {
     }
 
     /// Notes what of a change nav2 would not take, in the grid that it has.
-    fn check_update(&mut self, update: &OccupancyGridUpdate) {
+    pub fn check_update(&mut self, update: &OccupancyGridUpdate) {
         let Some(grid) = &self.grid else {
             return self.wrong.push("a change before its grid".to_owned());
         };
