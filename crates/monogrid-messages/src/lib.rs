@@ -29,6 +29,8 @@ pub mod geometry_msgs;
 pub mod map_msgs;
 pub mod nav_msgs;
 pub mod octomap_msgs;
+pub mod rcl_interfaces;
+pub mod rosgraph_msgs;
 pub mod sensor_msgs;
 pub mod std_msgs;
 pub mod std_srvs;

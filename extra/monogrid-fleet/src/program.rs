@@ -9,6 +9,7 @@ use anyhow::Context as _;
 use clap::{Args, Parser};
 use monogrid_datasets::printable;
 use std::ffi::OsString;
+use std::net::SocketAddr;
 use std::panic::AssertUnwindSafe;
 use std::path::PathBuf;
 use std::process::{Child, Command};
@@ -86,6 +87,9 @@ pub struct ServerArgs {
     /// Settings of Zenoh (JSON5): TLS, access control; other options stand over what they name
     #[arg(long, value_name = "FILE")]
     pub zenoh_config: Option<PathBuf>,
+    /// Where Prometheus reads how the server is, at /metrics; whoever reaches the address can read
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    pub metrics: Option<SocketAddr>,
     /// Runs of all agents at most; of one agent a quarter
     #[arg(
         long, value_name = "N", default_value_t = Limits::default().runs,
@@ -288,6 +292,7 @@ fn server(args: ServerArgs) -> anyhow::Result<u8> {
     let config = ServerConfig {
         listen: args.listen,
         zenoh_config: args.zenoh_config,
+        metrics: args.metrics,
         limits: Limits {
             runs: args.max_runs,
             keyframes: args.max_keyframes,

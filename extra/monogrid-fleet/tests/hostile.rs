@@ -17,8 +17,11 @@ use monogrid_fleet::server::{Limits, Server, ServerConfig};
 use monogrid_geometry::nalgebra::Quaternion;
 use monogrid_geometry::{Pinhole, Rotation, Se3, Sim3, Vec3};
 use monogrid_image::Image;
+use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, IsCa, KeyPair, KeyUsagePurpose};
 use std::fs;
-use std::path::Path;
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -574,6 +577,108 @@ fn a_file_of_zenohs_settings_lets_in_only_who_knows_the_password() {
     deliver(&link, "drone", 1);
     let (fleet, _) = serving.end();
     assert!(fleet.agents[0].has_ended);
+}
+
+/// An authority, and a certificate of this computer by it: files of the authority, the
+/// certificate and its key.
+fn certified(folder: &Path, name: &str) -> [PathBuf; 3] {
+    let of = |names: &[&str]| {
+        let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
+        CertificateParams::new(names).unwrap()
+    };
+    let mut authority = of(&[]);
+    authority.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+    authority.key_usages = vec![KeyUsagePurpose::KeyCertSign];
+    let authority = CertifiedIssuer::self_signed(authority, KeyPair::generate().unwrap()).unwrap();
+    let key = KeyPair::generate().unwrap();
+    let computer = of(&["localhost"]).signed_by(&key, &authority).unwrap();
+    let texts = [authority.pem(), computer.pem(), key.serialize_pem()];
+    let mut kinds = ["ca", "pem", "key"].into_iter();
+    texts.map(|text| {
+        let path = folder.join(format!("{name}.{}", kinds.next().unwrap()));
+        fs::write(&path, text).unwrap();
+        path
+    })
+}
+
+/// Both ends show who they are: the server is believed by its certificate, and so is an agent.
+#[test]
+fn over_tls_a_wrong_certificate_is_refused_and_the_right_one_works() {
+    let folder = tempfile::tempdir().unwrap();
+    let [ours, theirs] = ["ours", "theirs"].map(|name| certified(folder.path(), name));
+    let settings = |name: &str, tls: &str| {
+        let path = folder.path().join(name);
+        fs::write(
+            &path,
+            format!("{{ transport: {{ link: {{ tls: {{ {tls} }} }} }} }}"),
+        )
+        .unwrap();
+        path
+    };
+    let [ca, pem, key] = ours.each_ref().map(|path| path.display());
+    let server = settings(
+        "server.json5",
+        &format!(
+            "listen_private_key: '{key}', listen_certificate: '{pem}', enable_mtls: true, \
+             root_ca_certificate: '{ca}'"
+        ),
+    );
+    let agent = |name: &str, believes: &Path, shows: &[PathBuf; 3]| {
+        let [_, pem, key] = shows.each_ref().map(|path| path.display());
+        let believes = believes.display();
+        let tls = format!(
+            "root_ca_certificate: '{believes}', enable_mtls: true, connect_private_key: '{key}', \
+             connect_certificate: '{pem}'"
+        );
+        settings(name, &tls)
+    };
+    let endpoint = endpoint().replace("tcp/127.0.0.1", "tls/localhost");
+    let mut config = server_config(&endpoint, folder.path());
+    config.zenoh_config = Some(server);
+    let metrics = loopback_port();
+    config.metrics = Some(metrics);
+    let serving = Serving::start(config);
+    let open = |file: &Path| Link::open(std::slice::from_ref(&endpoint), Some(file));
+    let is_let_in = |file: &Path| open(file).is_ok_and(|link| link.fleet().is_ok());
+    // an agent that believes another authority than that of the server
+    assert!(!is_let_in(&agent("believes.json5", &theirs[0], &ours)));
+    // an agent that the server has no reason to believe
+    assert!(!is_let_in(&agent("shows.json5", &ours[0], &theirs)));
+    // one without TLS
+    let plain = endpoint.replace("tls/localhost", "tcp/127.0.0.1");
+    let plain = Link::open(&[plain], None);
+    assert!(!plain.is_ok_and(|link| link.fleet().is_ok()));
+    let link = open(&agent("right.json5", &ours[0], &ours)).unwrap();
+    deliver(&link, "drone", 1);
+    let begin = Instant::now();
+    while !scraped(metrics).contains("\nmonogrid_fleet_runs_ended 1\n") {
+        assert!(
+            begin.elapsed() < Duration::from_secs(30),
+            "{}",
+            scraped(metrics)
+        );
+        thread::sleep(Duration::from_millis(100));
+    }
+    let (fleet, _) = serving.end();
+    assert!(fleet.agents.len() == 1 && fleet.agents[0].has_ended);
+}
+
+/// An address of this computer at which nobody listens yet.
+fn loopback_port() -> SocketAddr {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    listener.local_addr().unwrap()
+}
+
+/// What Prometheus reads.
+fn scraped(address: SocketAddr) -> String {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream
+        .write_all(b"GET /metrics HTTP/1.1\r\nHost: fleet\r\n\r\n")
+        .unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    assert!(answer.starts_with("HTTP/1.1 200 OK"), "{answer}");
+    answer
 }
 
 #[test]

@@ -1,16 +1,15 @@
 //! The command line.
 
 use crate::frames::mount;
+use crate::log::Severity;
 use clap::Parser;
-use clap::error::ErrorKind;
 use monogrid_geometry::Se3;
-use std::ffi::OsString;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 /// A ROS 2 node that makes an occupancy map of a camera's images
 #[derive(Clone, Debug, Parser)]
-#[command(version, max_term_width = 110)]
+#[command(version, max_term_width = 110, args_override_self = true)]
 pub struct Args {
     /// Topic of the images (sensor_msgs/Image)
     #[arg(long, value_name = "TOPIC", default_value = "/camera/image_raw")]
@@ -61,6 +60,17 @@ pub struct Args {
     /// Another name for a topic or service, as `--ros-args -r` gives it
     #[arg(long, value_name = "FROM:=TO", value_parser = rule)]
     pub remap: Vec<(String, String)>,
+    /// Times of diagnostics and logs are those of /clock, as in a simulation; a clock that jumps
+    /// back begins a new map
+    #[arg(long)]
+    pub use_sim_time: bool,
+    /// What is said on standard error and /rosout at least: debug, info, warn, error or fatal; of
+    /// one logger as LOGGER:=LEVEL
+    #[arg(long, value_name = "LEVEL", value_parser = level)]
+    pub log_level: Vec<(String, Severity)>,
+    #[allow(missing_docs, reason = "would become the description of the program")]
+    #[arg(skip)]
+    pub ignored: Vec<String>,
     #[allow(missing_docs, reason = "would become the description of the program")]
     #[command(flatten)]
     pub frames: FrameArgs,
@@ -138,7 +148,11 @@ impl FrameArgs {
     }
 }
 
-fn rule(text: &str) -> Result<(String, String), String> {
+/// `FROM:=TO`.
+///
+/// # Errors
+/// What is none.
+pub(crate) fn rule(text: &str) -> Result<(String, String), String> {
     let rule = text
         .split_once(":=")
         .filter(|(from, to)| !from.is_empty() && !to.is_empty());
@@ -147,61 +161,44 @@ fn rule(text: &str) -> Result<(String, String), String> {
 }
 
 impl Args {
-    /// Reads a command line, with what ROS and its launch files add to it: from `--ros-args` to the
-    /// end or to `--`.
-    ///
-    /// # Errors
-    /// What is not understood, and the help and the version that were asked for.
-    pub fn read(arguments: impl IntoIterator<Item = OsString>) -> Result<Self, clap::Error> {
-        let mut own = Vec::new();
-        let mut arguments = arguments.into_iter();
-        while let Some(argument) = arguments.next() {
-            if argument == "--ros-args" {
-                let block = arguments.by_ref().take_while(|argument| argument != "--");
-                let added = of_ros(block.map(|argument| argument.to_string_lossy().into_owned()));
-                let added = added.map_err(|why| clap::Error::raw(ErrorKind::InvalidValue, why))?;
-                own.extend(added.into_iter().map(OsString::from));
-            } else {
-                own.push(argument);
-            }
+    /// The name of the node from the root.
+    #[must_use]
+    pub fn full_name(&self) -> String {
+        let namespace = self.namespace.trim_matches('/');
+        match namespace.is_empty() {
+            true => format!("/{}", self.name),
+            false => format!("/{namespace}/{}", self.name),
         }
-        Self::try_parse_from(own)
+    }
+
+    /// The name of the node in logs.
+    #[must_use]
+    pub fn logger(&self) -> String {
+        self.full_name()[1..].replace('/', ".")
+    }
+
+    /// The least severity that the node says: that for it, or for the nearest of those above it.
+    #[must_use]
+    pub fn least_severity(&self) -> Severity {
+        let logger = self.logger();
+        let is_above = |above: &str| {
+            let rest = logger.strip_prefix(above);
+            rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('.') || above.is_empty())
+        };
+        let levels = self.log_level.iter().filter(|(of, _)| is_above(of));
+        // of equal ones the last counts
+        let nearest = levels.max_by_key(|(of, _)| of.len());
+        nearest.map_or(Severity::Info, |(_, severity)| *severity)
     }
 }
 
-/// What ROS says, in options of the program.
-fn of_ros(mut arguments: impl Iterator<Item = String>) -> Result<Vec<String>, String> {
-    let mut own = Vec::new();
-    while let Some(argument) = arguments.next() {
-        let mut value = || {
-            let value = arguments.next();
-            value.ok_or_else(|| format!("{argument} has no value\n"))
-        };
-        match argument.as_str() {
-            "-r" | "--remap" => {
-                let (from, to) = rule(&value()?).map_err(|why| why + "\n")?;
-                own.push(match from.as_str() {
-                    "__node" | "__name" => format!("--name={to}"),
-                    "__ns" => format!("--namespace={to}"),
-                    _ => format!("--remap={from}:={to}"),
-                });
-            }
-            "-p" | "--param" => {
-                let (name, value) = rule(&value()?).map_err(|why| why + "\n")?;
-                match name.as_str() {
-                    "metres_per_unit" => own.push(format!("--metres-per-unit={value}")),
-                    // all times are those of the images
-                    "use_sim_time" => {}
-                    _ => return Err(format!("there is no parameter {name:?}\n")),
-                }
-            }
-            // what other nodes write to logs stands in the diagnostics
-            "--log-level" | "-e" | "--enclave" => drop(value()?),
-            other if other.starts_with("--enable-") || other.starts_with("--disable-") => {}
-            other => return Err(format!("{other:?} after --ros-args is not understood\n")),
-        }
-    }
-    Ok(own)
+/// `LEVEL` for all, or `LOGGER:=LEVEL`.
+fn level(text: &str) -> Result<(String, Severity), String> {
+    let (of, level) = text.split_once(":=").unwrap_or(("", text));
+    let severity = Severity::from_name(level);
+    let names = Severity::NAMES.join(", ");
+    let severity = severity.ok_or_else(|| format!("{level:?} is none of {names}"))?;
+    Ok((of.to_owned(), severity))
 }
 
 fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
@@ -266,29 +263,22 @@ mod tests {
     }
 
     #[test]
-    fn what_ros_says_after_ros_args() {
-        let read = |line: &str| Args::read(line.split(' ').map(OsString::from));
-        let args = read(
-            "node --image /a --ros-args -r __node:=eye -r __ns:=/robot --remap map:=/floor \
-             -p use_sim_time:=true -p metres_per_unit:=0.5 --log-level info -- --compressed",
-        );
-        let args = args.unwrap();
+    fn the_nearest_logger_says_what_is_said() {
+        let of = |levels: &[&str]| {
+            let options = levels.iter().flat_map(|level| ["--log-level", level]);
+            let names = ["--name", "eye", "--namespace", "/robot"];
+            let args = parse(&options.chain(names).collect::<Vec<_>>());
+            args.unwrap().least_severity()
+        };
+        assert_eq!(of(&[]), Severity::Info);
+        assert_eq!(of(&["WARN"]), Severity::Warn);
+        assert_eq!(of(&["robot:=error", "debug"]), Severity::Error);
+        assert_eq!(of(&["robot.eye:=debug", "robot:=error"]), Severity::Debug);
         assert_eq!(
-            (args.name.as_str(), args.namespace.as_str()),
-            ("eye", "/robot")
+            of(&["rob:=debug", "eye:=debug", "rcl:=debug"]),
+            Severity::Info
         );
-        assert_eq!(args.remap, [("map".to_owned(), "/floor".to_owned())]);
-        assert_eq!((args.metres_per_unit, args.compressed), (Some(0.5), true));
-        for (wrong, named) in [
-            ("node --ros-args -r map", "FROM:=TO"),
-            ("node --ros-args -r", "-r"),
-            ("node --ros-args -p speed:=1", "speed"),
-            ("node --ros-args --params-file x.yaml", "--params-file"),
-            ("node --ros-args -p metres_per_unit:=-1", "metres-per-unit"),
-        ] {
-            let error = read(wrong).unwrap_err().to_string();
-            assert!(error.contains(named), "{error}");
-        }
+        assert_eq!(of(&["debug", "fatal"]), Severity::Fatal);
     }
 
     #[test]

@@ -8,11 +8,15 @@
 #![deny(missing_docs)]
 
 pub mod args;
+pub mod clock;
 pub mod convert;
 pub mod frames;
+pub mod log;
 pub mod maps;
 pub mod node;
 pub mod parameters;
+pub mod params_file;
+pub mod ros_args;
 pub mod save;
 pub mod serve;
 pub mod settings;

@@ -8,6 +8,8 @@ use monogrid_geometry::{Se3, Sim3, Vec3};
 use monogrid_inertial::Imu;
 use monogrid_pipeline::Settings;
 use monogrid_ros2::args::Args;
+use monogrid_ros2::clock::Clock;
+use monogrid_ros2::log::{Log, Severity};
 use monogrid_ros2::maps::Maps;
 use monogrid_ros2::node::{RosNode, connect};
 use monogrid_ros2::serve::{Inputs, options};
@@ -63,16 +65,28 @@ fn run(args: Args) -> anyhow::Result<()> {
     let (work_sender, work) = way_to_work();
     let (news_sender, news) = sync_channel(NEWS_AHEAD);
     let counts = Arc::new(Counts::default());
+    let clock = Arc::new(Clock::default());
+    clock.simulate(args.use_sim_time);
     let options = options(&args, work_sender.clone());
     let mut node = RosNode::new(&context, &args.namespace, &args.name, options)?;
     node.remap(&args.remap)?;
+    let (least, time) = (args.least_severity(), Arc::clone(&clock));
+    let log = Arc::new(Log::new(&mut node, args.logger(), least, time)?);
     let publisher = PosePublisher::new(&mut node, &args.frames)?;
     let topics = MapTopics::new(&mut node, &args.frames.map_frame)?;
     let inputs = Inputs::new(&mut node, &args)?;
 
     let map_from_world = settings.map_from_world;
-    let tracking = Tracking::new(settings, &args, camera, publisher, news_sender);
-    let maps = Maps::new(args, map_from_world, topics, Arc::clone(&counts));
+    let tracking = Tracking::new(
+        settings,
+        &args,
+        camera,
+        publisher,
+        news_sender,
+        Arc::clone(&log),
+    );
+    say_beginning(&log, &args);
+    let maps = Maps::new(args, map_from_world, topics, &counts, &log, &clock);
     let (stop, mut stopped) = mpsc::unbounded();
     let named = |name: &str| thread::Builder::new().name(name.to_owned());
     let ends = AtEnd::new(&stop);
@@ -88,7 +102,7 @@ fn run(args: Args) -> anyhow::Result<()> {
     {
         let serving = future::join(
             spinner.spin(),
-            inputs.serve(&node.node, &work_sender, &counts),
+            inputs.serve(&node.node, &work_sender, &counts, &clock),
         );
         pin_mut!(serving);
         futures::executor::block_on(future::select(serving, stopped.next()));
@@ -98,6 +112,16 @@ fn run(args: Args) -> anyhow::Result<()> {
     tracking.join().ok().context("tracking failed")?;
     maps.join().ok().context("the maps failed")?;
     Ok(())
+}
+
+fn say_beginning(log: &Log, args: &Args) {
+    let version = env!("CARGO_PKG_VERSION");
+    let said = format!("monogrid {version} waits for images on {}", args.image);
+    log.say(Severity::Info, &said);
+    if !args.ignored.is_empty() {
+        let said = format!("no parameters of this node: {}", args.ignored.join(", "));
+        log.say(Severity::Warn, &said);
+    }
 }
 
 fn settings(args: &Args) -> anyhow::Result<Settings> {

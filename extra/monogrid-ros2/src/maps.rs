@@ -2,8 +2,10 @@
 //! is, and writes files.
 
 use crate::args::Args;
+use crate::clock::Clock;
 use crate::convert::{Condition, MAX_PATH_POSES, NOT_METRIC, diagnostics};
 use crate::frames::{frame_of_map, map_from_camera};
+use crate::log::{Log, Severity, has_grown};
 use crate::save::save;
 use crate::shown::{Seen, Shown};
 use crate::topics::MapTopics;
@@ -13,13 +15,14 @@ use crate::work::{Answer, Counts, News, Tracked, response};
 use monogrid_geometry::{Pinhole, Se3, Sim3};
 use monogrid_mapping::{LiveView, MapReader};
 use monogrid_messages::builtin_interfaces::Time;
+use monogrid_messages::diagnostic_msgs::{ERROR, OK};
 use monogrid_messages::std_msgs::Header;
 use monogrid_occupancy::MapError;
 use monogrid_slam::{Keyframe, PoseSnapshot, TrajectoryPose};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 /// How often the node says how it is.
 const DIAGNOSTICS_EVERY: Duration = Duration::from_secs(1);
@@ -67,19 +70,42 @@ pub struct Maps {
     last_look: Option<Instant>,
     /// How many maps were seen.
     number: u64,
+    log: Arc<Log>,
+    clock: Arc<Clock>,
+    said: Said,
+}
+
+/// What was said last.
+#[derive(Default)]
+struct Said {
+    condition: String,
+    dropped: u64,
+    lost: u64,
+    unusable: u64,
+    unsent: u64,
 }
 
 impl Maps {
     /// With nothing to publish yet; `map_from_world` is the frame of maps before an inertial sensor
     /// has a say.
     #[must_use]
-    pub fn new(args: Args, map_from_world: Sim3, topics: MapTopics, counts: Arc<Counts>) -> Self {
+    pub fn new(
+        args: Args,
+        map_from_world: Sim3,
+        topics: MapTopics,
+        counts: &Arc<Counts>,
+        log: &Arc<Log>,
+        clock: &Arc<Clock>,
+    ) -> Self {
         Self {
             scale: args.metres_per_unit.map(Scale::given),
             args,
             map_from_world,
             topics,
-            counts,
+            counts: Arc::clone(counts),
+            log: Arc::clone(log),
+            clock: Arc::clone(clock),
+            said: Said::default(),
             world: None,
             condition: Condition::Waiting("no image has come yet".to_owned()),
             totals: Totals::default(),
@@ -137,10 +163,13 @@ impl Maps {
             News::Waiting(why) => self.condition = Condition::Waiting(why),
             News::Keyframe(world, keyframe, poses) => {
                 if let Some(keyframe) = keyframe.load() {
+                    let said = format!("keyframe {} finished", keyframe.id);
+                    self.log.say(Severity::Debug, &said);
                     self.publish_points(world, &keyframe, &poses);
                 }
             }
             News::Scale(scale) => {
+                self.say_scale(scale);
                 self.scale = scale;
                 // the newest map is published once more, since all lengths are others
                 self.topics.forget();
@@ -262,8 +291,17 @@ impl Maps {
         });
         let poses: Vec<(Time, Se3)> = poses.collect();
         let saved = self.publish_and_save(&poses);
+        let saved = saved.map_err(|error| format!("{error:#}"));
+        match &saved {
+            Ok(folder) => self
+                .log
+                .say(Severity::Info, &format!("map saved: {folder}")),
+            Err(why) => self
+                .log
+                .say(Severity::Error, &format!("no map saved: {why}")),
+        }
         // whoever has gone away needs no answer
-        let _ = answer.send(response(saved.map_err(|error| format!("{error:#}"))));
+        let _ = answer.send(response(saved));
     }
 
     fn publish_and_save(&mut self, trajectory: &[(Time, Se3)]) -> anyhow::Result<String> {
@@ -287,15 +325,72 @@ impl Maps {
             Some(silent) => &Condition::Silent(silent.as_secs_f64()),
             None => &self.condition,
         };
-        let now = SystemTime::now().duration_since(UNIX_EPOCH);
-        let now = now.map_or(0, |now| now.as_nanos() as i64);
         let header = Header {
-            stamp: Time::from_nanoseconds(now),
+            stamp: self.clock.now(),
             ..Header::default()
         };
         let is_metric = self.metres_per_unit().is_some();
         let message = diagnostics(header, &self.args.name, condition, is_metric, self.facts());
+        let status = &message.status[0];
+        let condition = match silent {
+            Some(_) => "no image comes any more".to_owned(),
+            None => status.message.clone(),
+        };
+        let severity = match status.level {
+            OK => Severity::Info,
+            ERROR => Severity::Error,
+            _ => Severity::Warn,
+        };
+        self.say_news(severity, condition);
         self.topics.publish_diagnostics(message);
+    }
+
+    /// Says what has changed since this was called last.
+    fn say_news(&mut self, severity: Severity, condition: String) {
+        let (said, log) = (&mut self.said, &self.log);
+        if said.condition != condition {
+            log.say(severity, &condition);
+            said.condition = condition;
+        }
+        let load = |count: &AtomicU64| count.load(Ordering::Relaxed);
+        let why = &self.totals.unusable_because;
+        for (count, said, what) in [
+            (
+                load(&self.counts.dropped),
+                &mut said.dropped,
+                "images dropped (busy)",
+            ),
+            (
+                load(&self.counts.lost),
+                &mut said.lost,
+                "images lost on the way",
+            ),
+            (
+                self.totals.unusable,
+                &mut said.unusable,
+                &*format!("images of no use: {why}"),
+            ),
+            (
+                self.totals.unsent + self.topics.unsent,
+                &mut said.unsent,
+                "messages not sent",
+            ),
+        ] {
+            if has_grown(count, said) {
+                log.say(Severity::Warn, &format!("{count} {what}"));
+            }
+        }
+    }
+
+    fn say_scale(&self, scale: Option<Scale>) {
+        if let Some(scale) = scale.filter(|scale| self.scale != Some(*scale)) {
+            let deviation = scale
+                .deviation
+                .map(|d| format!(", standard error {:.1} %", d * 100.0));
+            let (metres, deviation) = (scale.metres_per_unit, deviation.unwrap_or_default());
+            let said = format!("a unit of the camera's world is {metres} m{deviation}");
+            self.log.say(Severity::Info, &said);
+        }
     }
 
     fn facts(&self) -> Vec<(&'static str, String)> {

@@ -70,6 +70,10 @@ pub enum Quality {
     /// next one waits a moment for everybody to have the last one, and is not sent when that is too
     /// long.
     Parts,
+    /// The newest of a clock, late or never.
+    Clock,
+    /// What is said, also to those who come a little later, as every node of ROS says it.
+    Log,
     /// The last one, also to those who come later: maps, as nav2 and RViz want them. While somebody
     /// has not got it yet, no other can be sent.
     Latched,
@@ -88,6 +92,11 @@ impl Quality {
             Self::Parts => QosProfile::publisher_default()
                 .reliability_reliable(WhenFull::Wait(PATIENCE))
                 .history(last(10)),
+            Self::Clock => QosProfile::subscription_default().history(last(1)),
+            Self::Log => QosProfile::publisher_default()
+                .reliability_reliable(WhenFull::Fail)
+                .durability(Durability::TransientLocal)
+                .history(last(1000)),
             Self::Latched => QosProfile::publisher_default()
                 .reliability_reliable(WhenFull::Fail)
                 .durability(Durability::TransientLocal)
@@ -99,18 +108,24 @@ impl Quality {
     /// limit all are kept until everybody has them, and without a listener for ever.
     fn policies(self) -> QosPolicies {
         let policies = QosPolicies::from(self.profile());
-        if !matches!(self, Self::Parts | Self::Latched) {
-            return policies;
-        }
-        let one = QosPolicyBuilder::new().resource_limits(policy::ResourceLimits {
-            max_samples: 1,
-            max_instances: 1,
-            max_samples_per_instance: 1,
-        });
-        policies.modify_by(&one.build())
+        let limits = QosPolicyBuilder::new();
+        let limits = match self {
+            Self::Parts | Self::Latched => limits.resource_limits(policy::ResourceLimits {
+                max_samples: 1,
+                max_instances: 1,
+                max_samples_per_instance: 1,
+            }),
+            Self::Log => limits.lifespan(policy::Lifespan {
+                duration: LOG_LIFE.into(),
+            }),
+            _ => return policies,
+        };
+        policies.modify_by(&limits.build())
     }
 }
 
+/// How long those who come later get what was said.
+const LOG_LIFE: Duration = Duration::from_secs(10);
 /// How long a part waits for the one before.
 const PATIENCE: Duration = Duration::from_millis(100);
 

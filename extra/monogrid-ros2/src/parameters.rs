@@ -1,5 +1,6 @@
 //! The services with which others read and set parameters (`ros2 param`).
 
+use crate::clock::{Clock, SIMULATED};
 use crate::node::{RosNode, Service};
 use ros2_client::parameters::{Parameter, ParameterDescriptor, ParameterValue, raw};
 use ros2_client::rcl_interfaces::{
@@ -40,8 +41,9 @@ impl ParameterServices {
     }
 
     /// Answers what is asked of the parameters of a node; does not end.
-    pub async fn serve(&self, node: &Node) {
+    pub async fn serve(&self, node: &Node, clock: &Clock) {
         let value = |name: &String| node.get_parameter(name).unwrap_or(ParameterValue::NotSet);
+        let set_one = |parameter| set_one(node, clock, parameter);
         let list = self.list.answer(|request| {
             let is_below = |name: &str, prefix: &str| {
                 let rest = name.strip_prefix(prefix);
@@ -81,7 +83,7 @@ impl ParameterServices {
         });
         let set = self.set.answer(|request| {
             let parameters = request.parameter.into_iter();
-            let results = parameters.map(|parameter| set_one(node, parameter).into());
+            let results = parameters.map(|parameter| set_one(parameter).into());
             ready(SetParametersResponse {
                 results: results.collect(),
             })
@@ -91,7 +93,7 @@ impl ParameterServices {
             let unknown = parameters.iter().find(|p| !node.has_parameter(&p.name));
             let result = match unknown {
                 Some(parameter) => Err(format!("there is no parameter {}", parameter.name)),
-                None => parameters.into_iter().try_for_each(|p| set_one(node, p)),
+                None => parameters.into_iter().try_for_each(set_one),
             };
             ready(SetParametersAtomicallyResponse {
                 result: result.into(),
@@ -101,7 +103,12 @@ impl ParameterServices {
     }
 }
 
-fn set_one(node: &Node, parameter: raw::Parameter) -> Result<(), String> {
+fn set_one(node: &Node, clock: &Clock, parameter: raw::Parameter) -> Result<(), String> {
     let Parameter { name, value } = parameter.into();
-    node.set_parameter(&name, value)
+    node.set_parameter(&name, value)?;
+    // the middleware tells nobody of this one
+    if name == SIMULATED {
+        clock.simulate(node.get_parameter(SIMULATED) == Some(ParameterValue::Boolean(true)));
+    }
+    Ok(())
 }

@@ -1,6 +1,7 @@
 //! The thread of the middleware: hands on what comes, answers services, waits for nothing.
 
 use crate::args::{Args, FrameArgs, checked_scale};
+use crate::clock::{Clock, SIMULATED};
 use crate::convert::{camera_of, imu_sample_of, pose_of_transform};
 use crate::node::{Quality, RosNode, Trigger, Wire};
 use crate::parameters::ParameterServices;
@@ -10,6 +11,7 @@ use futures::future::{self, OptionFuture};
 use futures::{Stream, StreamExt};
 use monogrid_messages::geometry_msgs::{Pose, Transform, Vector3};
 use monogrid_messages::nav_msgs::Odometry;
+use monogrid_messages::rosgraph_msgs::Clock as ClockMessage;
 use monogrid_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu};
 use monogrid_messages::std_msgs::Header;
 use monogrid_messages::tf2_msgs::TFMessage;
@@ -30,6 +32,7 @@ pub fn options(args: &Args, work: WorkSender) -> NodeOptions {
         // they would be answered to some middlewares only: see `parameters`
         .start_parameter_services(false)
         .declare_parameter(SCALE, value)
+        .declare_parameter(SIMULATED, ParameterValue::Boolean(args.use_sim_time))
         .parameter_validator(Box::new(|name, value| match value {
             ParameterValue::Double(metres) if name == SCALE => told_scale(*metres).map(|_| ()),
             _ if name == SCALE => Err(format!("{SCALE} is a number with a decimal point")),
@@ -58,6 +61,7 @@ pub struct Inputs {
     info: Option<Subscription<CameraInfo>>,
     imu: Option<Subscription<Imu>>,
     odometry: Option<OwnOdometry>,
+    clock: Subscription<ClockMessage>,
     frames: FrameArgs,
     save: Trigger,
     reset: Trigger,
@@ -104,6 +108,7 @@ impl Inputs {
             info: info.transpose()?,
             imu: imu.transpose()?,
             odometry: odometry.transpose()?,
+            clock: node.subscription("/clock", Quality::Clock)?,
             frames: args.frames.clone(),
             save: node.service("save", &trigger)?,
             reset: node.service("reset", &trigger)?,
@@ -113,7 +118,7 @@ impl Inputs {
     }
 
     /// Hands on all that comes; does not end.
-    pub async fn serve(self, node: &Node, work: &WorkSender, counts: &Counts) {
+    pub async fn serve(self, node: &Node, work: &WorkSender, counts: &Counts, clock: &Clock) {
         let images = async {
             match &self.images {
                 Images::Plain(topic) => {
@@ -166,8 +171,10 @@ impl Inputs {
                 }
             }
         };
-        let services = future::join3(save, reset, self.parameters.serve(node));
-        future::join5(images, info, readings, odometry, services).await;
+        let services = future::join3(save, reset, self.parameters.serve(node, clock));
+        let time = take_time(&self.clock, work, clock);
+        let others = future::join(services, time);
+        future::join5(images, info, readings, odometry, others).await;
     }
 }
 
@@ -227,6 +234,18 @@ async fn take_readings(topic: &Subscription<Imu>, work: &WorkSender, counts: &Co
             counts.readings.fetch_add(1, Relaxed);
             // the other threads end after this one
             let _ = work.send(Work::Reading(reading));
+        }
+    }
+}
+
+/// Takes the time of a simulation; one that begins again begins a new map.
+async fn take_time(topic: &Subscription<ClockMessage>, work: &WorkSender, clock: &Clock) {
+    let mut times = pin!(topic.async_stream());
+    while let Some(message) = times.next().await {
+        if message.is_ok_and(|(message, _)| clock.take(message.clock)) {
+            let why = "the time of /clock has jumped back".to_owned();
+            // the other threads end after this one
+            let _ = work.send(Work::BeginAgain(why));
         }
     }
 }

@@ -1,11 +1,13 @@
 //! The thread that tracks: images in, poses out; what the maps need goes to their thread.
 
 use crate::args::{Args, FrameArgs};
+use crate::clock::BEGINS_AGAIN_NS;
 use crate::convert::{
     OdometryDeviations, UNKNOWN_DEVIATION, gray_image, gray_of_compressed, odometry_of,
     transform_of,
 };
 use crate::frames::{Frames, Poses, frame_of_map, map_from_camera};
+use crate::log::{Log, Severity};
 use crate::node::{Outlet, Quality, RosNode};
 use crate::wheels::{Scale, Wheels};
 use crate::work::{Answer, News, Picture, Tracked, Work, WorkReceiver, response};
@@ -173,10 +175,6 @@ struct Beside {
     last_sent_ns: i64,
 }
 
-/// An image that is older than the last one by more than this, ns, is the first of a recording that
-/// begins again.
-const BEGINS_AGAIN_NS: i64 = 1_000_000_000;
-
 /// Tracks.
 pub struct Tracking {
     settings: Settings,
@@ -195,6 +193,7 @@ pub struct Tracking {
     beside: Option<Beside>,
     base_from_camera: Se3,
     news: SyncSender<News>,
+    log: Arc<Log>,
 }
 
 impl Tracking {
@@ -206,6 +205,7 @@ impl Tracking {
         camera: Result<Camera, String>,
         publisher: PosePublisher,
         news: SyncSender<News>,
+        log: Arc<Log>,
     ) -> Self {
         let told = args.metres_per_unit.map(Scale::given);
         let map_from_world = frame_of_map(&settings.map_from_world, told);
@@ -229,6 +229,7 @@ impl Tracking {
             last_stamp: None,
             publisher,
             news,
+            log,
         }
     }
 
@@ -236,7 +237,7 @@ impl Tracking {
     pub fn run(mut self, work: &WorkReceiver) {
         while let Some(work) = work.next() {
             match work {
-                Work::Camera(camera) => self.camera = camera,
+                Work::Camera(camera) => self.take_camera(camera),
                 Work::Picture(picture) => self.take(&picture),
                 Work::Reading(reading) => self.take_reading(reading),
                 Work::Scale(told) => {
@@ -246,6 +247,7 @@ impl Tracking {
                 Work::Odometry(time_ns, odom_from_base) => {
                     self.take_odometry(time_ns, odom_from_base);
                 }
+                Work::BeginAgain(why) => self.restart(&why),
                 Work::Reset(answer) => self.reset(answer),
                 Work::Save(answer) => {
                     let pipeline = self.pipeline.as_ref();
@@ -259,6 +261,29 @@ impl Tracking {
     /// The thread of the maps ends after this one only.
     fn tell(&self, news: News) {
         let _ = self.news.send(news);
+    }
+
+    fn take_camera(&mut self, camera: Result<Camera, String>) {
+        match &camera {
+            Ok(camera) => {
+                let (width, height, model) = (camera.width, camera.height, camera.pinhole);
+                let said = format!("calibration: {width}x{height} px, {model:?}");
+                self.log.say(Severity::Info, &said);
+            }
+            Err(why) => self
+                .log
+                .say(Severity::Error, &format!("calibration: {why}")),
+        }
+        self.camera = camera;
+    }
+
+    /// Begins again, unless nothing has begun.
+    fn restart(&mut self, why: &str) {
+        if self.last_stamp.is_some() {
+            let said = format!("{why}: the next image begins a new map");
+            self.log.say(Severity::Warn, &said);
+            self.begin_again();
+        }
     }
 
     fn reset(&mut self, answer: Answer) {
@@ -318,7 +343,9 @@ impl Tracking {
             .last_stamp
             .map(|last| (last.nanoseconds(), stamp.nanoseconds()));
         match last {
-            Some((last, now)) if last - now > BEGINS_AGAIN_NS => self.begin_again(),
+            Some((last, now)) if last - now > BEGINS_AGAIN_NS => {
+                self.restart("the times of images have jumped back");
+            }
             Some((last, now)) if last >= now => {
                 return Err(format!(
                     "an image of {now} ns came after one of {last} ns: time runs backwards"

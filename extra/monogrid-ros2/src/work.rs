@@ -52,7 +52,9 @@ pub enum Work {
     Odometry(i64, Se3),
     /// A unit of the world is so many metres, as somebody tells; or nobody tells it any more.
     Scale(Option<f64>),
-    /// Everything begins again.
+    /// Everything begins again, and why.
+    BeginAgain(String),
+    /// Everything begins again, as somebody asks.
     Reset(Answer),
     /// The map is written to files.
     Save(Answer),

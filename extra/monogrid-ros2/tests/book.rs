@@ -40,7 +40,7 @@ fn options_that_the_chapter_names_exist() {
     });
     // those of cargo and of every program
     let names: Vec<&str> = names
-        .filter(|name| !["no-default-features", "help", "ros-args"].contains(name))
+        .filter(|name| !["no-default-features", "help", "ros-args", "params-file"].contains(name))
         .collect();
     assert!(names.len() > 5, "{names:?}");
     for name in names {

@@ -14,7 +14,9 @@ use monogrid_image::{GrayImage, Image};
 use monogrid_inertial::ImuSample;
 use monogrid_messages::builtin_interfaces::Time;
 use monogrid_messages::geometry_msgs::{Pose, Transform};
+use monogrid_messages::map_msgs::OccupancyGridUpdate;
 use monogrid_messages::nav_msgs::OccupancyGrid;
+use monogrid_messages::rcl_interfaces::{DEBUG, ERROR, INFO, WARN};
 use monogrid_messages::tf2_msgs::TFMessage;
 use monogrid_ros2::convert::{MAX_MESSAGE_BYTES, pose_of_transform};
 use monogrid_ros2::frames::mount;
@@ -164,6 +166,17 @@ impl Loopback {
         self.heard.heard(|heard| {
             poses_are_those_of_a_robot(heard);
             messages_are_small(heard);
+            assert_eq!(
+                heard.wrong,
+                [] as [String; 0],
+                "nav2 takes all grids and changes"
+            );
+            assert!(heard.has_said(INFO, "calibration: "), "{:?}", heard.log);
+            assert!(
+                heard.has_said(WARN, "good; scale unknown"),
+                "{:?}",
+                heard.log
+            );
             // a grid that comes often is sent as changes in between
             assert!(heard.updates > 0 || heard.grid_times.len() < 10);
         });
@@ -322,9 +335,64 @@ fn ten_seconds_of_a_small_camera() {
             assert_eq!(before.data, whole.data);
         }
     });
+    let is_saved = |heard: &Heard| heard.has_said(INFO, "map saved: ");
+    loopback.heard.wait_until("saving is said", is_saved);
+    let no_level = |heard: &Heard| !heard.log.iter().any(|log| log.level == DEBUG);
+    assert!(loopback.heard.heard(no_level));
     a_scale_makes_everything_longer(&loopback);
     a_reset_begins_a_new_map(&loopback, &film.images[0]);
     assert!(loopback.node.interrupt());
+}
+
+/// What the tests with a run look at can be wrong.
+#[test]
+fn grids_and_changes_that_nav2_would_not_take_are_noticed() {
+    let mut grid = OccupancyGrid::default();
+    grid.header.frame_id = "map".into();
+    grid.header.stamp = now();
+    grid.info.map_load_time = now();
+    grid.info.resolution = 0.05;
+    (grid.info.width, grid.info.height) = (3, 2);
+    grid.data = vec![0, -1, 100, 0, 0, 0];
+    let mut update = OccupancyGridUpdate {
+        header: grid.header.clone(),
+        x: 1,
+        y: 1,
+        width: 2,
+        height: 1,
+        data: vec![0, 100],
+    };
+    let grid_wrong = |change: fn(&mut OccupancyGrid)| {
+        let (mut heard, mut grid) = (Heard::default(), grid.clone());
+        change(&mut grid);
+        heard.check_grid(&grid);
+        heard.wrong.len()
+    };
+    assert_eq!(grid_wrong(|_| {}), 0);
+    for change in [
+        |grid: &mut OccupancyGrid| grid.header.frame_id.clear(),
+        |grid: &mut OccupancyGrid| grid.header.stamp.sec += 60,
+        |grid: &mut OccupancyGrid| grid.info.map_load_time = Time::default(),
+        |grid: &mut OccupancyGrid| grid.info.resolution = 0.0,
+        |grid: &mut OccupancyGrid| grid.info.width += 1,
+        |grid: &mut OccupancyGrid| grid.data[0] = 101,
+        |grid: &mut OccupancyGrid| grid.info.origin.position.z = 0.1,
+        |grid: &mut OccupancyGrid| grid.info.origin.orientation.x = 0.1,
+    ] {
+        assert_eq!(grid_wrong(change), 1);
+    }
+    let mut heard = Heard::default();
+    heard.check_update(&update);
+    assert_eq!(heard.wrong.len(), 1, "there is no grid");
+    heard = Heard {
+        grid: Some(grid),
+        ..Heard::default()
+    };
+    heard.check_update(&update);
+    assert_eq!(heard.wrong.len(), 0);
+    update.x = 2;
+    heard.check_update(&update);
+    assert_eq!(heard.wrong.len(), 1, "it ends beside the grid");
 }
 
 /// Without a listener no map is kept for one: the middleware kept all of them, and sent them all.
@@ -342,8 +410,18 @@ fn who_comes_late_gets_one_map() {
     ];
     let others = others.map(|topic| ["-r".to_owned(), format!("{topic}:=/{topic}")]);
     let others: Vec<&str> = others.iter().flatten().map(String::as_str).collect();
+    // time is that of a simulation, and names of keyframes are said
+    let simulated = [
+        "-p",
+        "use_sim_time:=true",
+        "--log-level",
+        "robot.monogrid:=debug",
+    ];
     let options = ["--map-period", "0.2", "--threads", "2"];
-    let mut node = Node::start(domain, &[&options[..], &renamed, &others].concat());
+    let mut node = Node::start(
+        domain,
+        &[&options[..], &renamed, &others, &simulated].concat(),
+    );
     let robot = Robot::start(domain);
     thread::sleep(Duration::from_secs(2));
     send(&robot, &node, &film, 150);
@@ -357,7 +435,36 @@ fn who_comes_late_gets_one_map() {
         let grids = heard.grid_times.len() - heard.updates;
         assert_eq!((heard.trees, grids), (1, 1));
     });
+    a_clock_that_jumps_back_begins_a_new_map(&heard, &robot, &film);
     assert!(node.interrupt());
+}
+
+fn a_clock_that_jumps_back_begins_a_new_map(heard: &Listening, robot: &Robot, film: &Film) {
+    let is_at = |sec| {
+        move |heard: &Heard| {
+            let array = heard.diagnostics.as_ref();
+            array.is_some_and(|array| array.header.stamp.sec == sec)
+        }
+    };
+    heard.wait_until("time waits for the clock", is_at(0));
+    robot.send_clock(100);
+    heard.wait_until("time is that of the clock", is_at(100));
+    for image in film.images.iter().skip(1).rev() {
+        robot.send_image(image);
+        thread::sleep(Duration::from_millis(33));
+    }
+    let says = |heard: &Heard, level, text: &str| {
+        let mut log = heard.log.iter();
+        log.any(|log| log.level == level && log.name == "robot.monogrid" && log.msg.contains(text))
+    };
+    heard.wait_until("keyframes are said", |heard| {
+        says(heard, DEBUG, "keyframe ")
+    });
+    assert!(heard.heard(|heard| heard.count("keyframes")) > 0);
+    robot.send_clock(50);
+    heard.wait_until("a new map begins", |heard| {
+        heard.count("keyframes") == 0 && says(heard, WARN, "/clock has jumped back")
+    });
 }
 
 /// A camera and an inertial sensor of which neither sits straight: the map is in metres, and its z
@@ -559,6 +666,8 @@ fn a_reset_begins_a_new_map(loopback: &Loopback, image: &Image<u8>) {
     });
     let refused = loopback.robot.save().unwrap_err();
     assert!(refused.contains("no map yet"), "{refused}");
+    let is_refused = |heard: &Heard| heard.has_said(ERROR, "no map saved: ");
+    loopback.heard.wait_until("that is said", is_refused);
     // time may begin again too
     loopback.robot.send_image(image);
     loopback.heard.wait_until("it initialises", |heard| {
@@ -580,6 +689,8 @@ fn a_reset_begins_a_new_map(loopback: &Loopback, image: &Image<u8>) {
     loopback
         .heard
         .wait_until("the earlier image is taken", is_taken);
+    let is_said = |heard: &Heard| heard.has_said(WARN, "the times of images have jumped back");
+    loopback.heard.wait_until("that is said", is_said);
 }
 
 /// The bar of a robot: 60 s of the sequence in the folder that `LOOPBACK_SEQUENCE` names. Prints

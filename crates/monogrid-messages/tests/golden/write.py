@@ -126,6 +126,8 @@ messages = [
     make("octomap_msgs/Octomap", header("map"), True, "OcTree", 0.05, int8(1, -1, 127, -128)),
     make("tf2_msgs/TFMessage", [transform, transform]),
     make("diagnostic_msgs/DiagnosticArray", header(""), [status]),
+    make("rcl_interfaces/Log", header("").stamp, 30, "robot.eye", "lost", "a.rs", "", 7),
+    make("rosgraph_msgs/Clock", header("").stamp),
 ]
 
 for message in messages:

@@ -12,6 +12,8 @@ use monogrid_messages::geometry_msgs::{
 use monogrid_messages::map_msgs::OccupancyGridUpdate;
 use monogrid_messages::nav_msgs::{MapMetaData, OccupancyGrid, Odometry, Path};
 use monogrid_messages::octomap_msgs::Octomap;
+use monogrid_messages::rcl_interfaces::{self, Log};
+use monogrid_messages::rosgraph_msgs::Clock;
 use monogrid_messages::sensor_msgs::{
     CameraInfo, CompressedImage, FLOAT32, Image, Imu, PointCloud2, PointField, RegionOfInterest,
 };
@@ -290,6 +292,21 @@ fn diagnostics() {
             values: vec![fact("frames", "17"), fact("a", "")],
         }],
     });
+}
+
+#[test]
+fn logs_and_clocks() {
+    let stamp = header("").stamp;
+    is_as_others_write_it(&Log {
+        stamp,
+        level: rcl_interfaces::WARN,
+        name: "robot.eye".into(),
+        msg: "lost".into(),
+        file: "a.rs".into(),
+        function: String::new(),
+        line: 7,
+    });
+    is_as_others_write_it(&Clock { clock: stamp });
 }
 
 #[test]

@@ -4,6 +4,7 @@
 mod companion;
 mod joining;
 mod limits;
+mod metrics;
 mod store;
 mod transforms;
 
@@ -16,6 +17,10 @@ use crate::agent::REFUSED;
 use crate::messages::{AgentState, Asked, Fleet, Missing, PREFIX, RunKey, Similarity};
 use crate::network::{self, NetworkError};
 use joining::{Joining, Next, Search};
+use metrics::{Counted, Metrics};
+use monogrid_report::ReportError;
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 use store::{Store, StoredRun};
@@ -42,6 +47,8 @@ pub struct ServerConfig {
     pub listen: Vec<String>,
     /// Settings of Zenoh, a JSON5 file.
     pub zenoh_config: Option<PathBuf>,
+    /// Where Prometheus reads how it is.
+    pub metrics: Option<SocketAddr>,
     /// What it keeps at most.
     pub limits: Limits,
     /// Folder of its files.
@@ -62,6 +69,9 @@ pub enum ServerError {
     /// Its files cannot be written or read.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// Nobody can be told how it is.
+    #[error("metrics: {0}")]
+    Metrics(#[from] ReportError),
     /// Its network cannot be set up.
     #[error(transparent)]
     Settings(#[from] NetworkError),
@@ -91,6 +101,11 @@ pub struct Server {
     /// The run in whose world the others are placed, once some are joined.
     shared: Option<RunKey>,
     voice: Voice,
+    metrics: Option<Metrics>,
+    /// When the last packet of each run came.
+    heard: BTreeMap<RunKey, Instant>,
+    /// Packets that were not taken.
+    refused: u64,
 }
 
 impl Server {
@@ -101,6 +116,7 @@ impl Server {
     /// When it cannot listen, or the folder cannot be read.
     pub fn start(config: ServerConfig, say: &mut dyn FnMut(String)) -> Result<Self, ServerError> {
         let network = network::of_server(&config.listen, config.zenoh_config.as_deref())?;
+        let metrics = config.metrics.map(Metrics::listen).transpose()?;
         let store = Store::open(&config.out, config.limits, say)?;
         let session = zenoh::open(network).wait()?;
         let questions = session.declare_queryable(format!("{PREFIX}/**"));
@@ -118,6 +134,9 @@ impl Server {
             placed: Place::new(),
             shared: None,
             voice: Voice::default(),
+            metrics,
+            heard: BTreeMap::new(),
+            refused: 0,
         })
     }
 
@@ -163,6 +182,30 @@ impl Server {
             self.answer(&question, say);
         }
         self.take_joined(say);
+        self.count();
+    }
+
+    /// Counts what Prometheus reads, when it is time.
+    fn count(&mut self) {
+        if !self.metrics.as_ref().is_some_and(Metrics::is_due) {
+            return;
+        }
+        let goes_on = |key: &RunKey| {
+            let run = self.store.runs.get(key);
+            run.is_some_and(|run| !run.known.has_ended)
+        };
+        let heard = self.heard.iter().filter(|(key, _)| goes_on(key));
+        let counted = Counted {
+            fleet: &self.fleet(),
+            bytes: self.store.usage().bytes,
+            refused: self.refused,
+            silent: heard
+                .map(|(key, at)| (key.to_string(), at.elapsed()))
+                .collect(),
+        };
+        if let Some(metrics) = &mut self.metrics {
+            metrics.set(&counted);
+        }
     }
 
     /// What is known of all.
@@ -247,8 +290,10 @@ impl Server {
                 };
                 let text = format!("{verb}: packet {number} of {run}: {error}");
                 self.voice.complain(text, say);
+                self.refused += 1;
                 return Err(why);
             }
+            self.heard.insert(run.clone(), Instant::now());
             if number == 0 {
                 say(format!("{run} has come"));
             }

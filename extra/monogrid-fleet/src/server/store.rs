@@ -251,7 +251,7 @@ impl Store {
         let runs = self.runs.iter();
         let of_agent = runs.filter(|(key, _)| key.name() == run.name());
         let of_agent: Usage = of_agent.map(|(_, stored)| stored.usage).sum();
-        let of_all: Usage = self.runs.values().map(|stored| stored.usage).sum();
+        let of_all = self.usage();
         self.limits
             .check(run.name(), &(of_agent + more), &(of_all + more))?;
         let free = free_bytes(&self.folder).map_err(at(&self.folder))?;
@@ -349,6 +349,12 @@ impl Store {
             return Ok(None);
         };
         stored.log.read(number).map_err(at(&stored.packets))
+    }
+
+    /// What is kept of all runs.
+    #[must_use]
+    pub fn usage(&self) -> Usage {
+        self.runs.values().map(|stored| stored.usage).sum()
     }
 
     /// Keyframes of all runs.

@@ -29,6 +29,7 @@ pub fn server_config(endpoint: &str, out: &Path) -> ServerConfig {
     ServerConfig {
         listen: vec![endpoint.into()],
         zenoh_config: None,
+        metrics: None,
         limits: Limits::default(),
         out: out.into(),
         joining: JoiningConfig {

@@ -10,6 +10,8 @@ use monogrid_messages::geometry_msgs::Vector3;
 use monogrid_messages::map_msgs::OccupancyGridUpdate;
 use monogrid_messages::nav_msgs::{OccupancyGrid, Odometry, Path};
 use monogrid_messages::octomap_msgs::Octomap;
+use monogrid_messages::rcl_interfaces::Log;
+use monogrid_messages::rosgraph_msgs::Clock;
 use monogrid_messages::sensor_msgs::{CameraInfo, Image, Imu, PointCloud2};
 use monogrid_messages::std_msgs::Header;
 use monogrid_messages::std_srvs::{TriggerRequest, TriggerResponse};
@@ -128,6 +130,10 @@ pub struct Heard {
     pub points: usize,
     pub path: Option<Path>,
     pub diagnostics: Option<DiagnosticArray>,
+    /// What the node has said.
+    pub log: Vec<Log>,
+    /// What nav2 would not take of grids and their changes.
+    pub wrong: Vec<String>,
 }
 
 impl Heard {
@@ -149,12 +155,86 @@ impl Heard {
         self.count("images processed") + self.count("images of no use") + dropped
     }
 
+    /// Whether a message of the log begins so.
+    pub fn has_said(&self, level: u8, text: &str) -> bool {
+        let mut log = self.log.iter();
+        log.any(|log| log.level == level && log.name == "monogrid" && log.msg.starts_with(text))
+    }
+
+    /// Notes what of a grid nav2 would not take.
+    pub fn check_grid(&mut self, grid: &OccupancyGrid) {
+        let (info, origin) = (&grid.info, &grid.info.origin);
+        let (place, turn) = (origin.position, origin.orientation);
+        let is_wrong = [
+            ("frame", grid.header.frame_id != "map"),
+            ("stamp", !is_of_now(grid.header.stamp)),
+            ("map_load_time", !is_of_now(info.map_load_time)),
+            (
+                "resolution",
+                !(info.resolution > 0.0 && info.resolution.is_finite()),
+            ),
+            ("size", info.width == 0 || info.height == 0),
+            (
+                "cells",
+                grid.data.len() != info.width as usize * info.height as usize,
+            ),
+            (
+                "values",
+                !grid.data.iter().all(|cell| (-1..=100).contains(cell)),
+            ),
+            (
+                "place",
+                !(place.x.is_finite() && place.y.is_finite() && place.z == 0.0),
+            ),
+            (
+                "turn",
+                [turn.x, turn.y, turn.z, turn.w] != [0.0, 0.0, 0.0, 1.0],
+            ),
+        ];
+        let wrong = is_wrong.iter().filter(|(_, is_wrong)| *is_wrong);
+        self.wrong
+            .extend(wrong.map(|(what, _)| format!("{what} of a grid: {info:?}")));
+    }
+
+    /// Notes what of a change nav2 would not take, in the grid that it has.
+    pub fn check_update(&mut self, update: &OccupancyGridUpdate) {
+        let Some(grid) = &self.grid else {
+            return self.wrong.push("a change before its grid".to_owned());
+        };
+        let (width, height) = (i64::from(update.width), i64::from(update.height));
+        let ends = [i64::from(update.x) + width, i64::from(update.y) + height];
+        let is_inside = update.x >= 0
+            && update.y >= 0
+            && ends[0] <= i64::from(grid.info.width)
+            && ends[1] <= i64::from(grid.info.height);
+        let is_wrong = [
+            ("frame", update.header.frame_id != "map"),
+            ("stamp", !is_of_now(update.header.stamp)),
+            ("order", update.header.stamp < grid.header.stamp),
+            ("place", !is_inside),
+            (
+                "cells",
+                update.data.len() as i64 != width * height || update.data.is_empty(),
+            ),
+            (
+                "values",
+                !update.data.iter().all(|cell| (-1..=100).contains(cell)),
+            ),
+        ];
+        let wrong = is_wrong.iter().filter(|(_, is_wrong)| *is_wrong);
+        let place = (update.x, update.y, width, height);
+        self.wrong
+            .extend(wrong.map(|(what, _)| format!("{what} of a change: {place:?}")));
+    }
+
     fn take_grid(&mut self, grid: OccupancyGrid) {
+        self.check_grid(&grid);
         self.grid_times.push((grid.header.stamp, now()));
         self.whole_grid = Some((grid.clone(), self.grid.replace(grid)));
     }
 
     fn take_update(&mut self, update: &OccupancyGridUpdate) {
+        self.check_update(update);
         self.grid_times.push((update.header.stamp, now()));
         self.updates += 1;
         let grid = self.grid.as_mut().unwrap();
@@ -163,6 +243,12 @@ impl Heard {
             grid.data[first..first + cells.len()].copy_from_slice(cells);
         }
     }
+}
+
+/// Whether a time is one of the last minutes: neither unset nor of the future.
+fn is_of_now(time: Time) -> bool {
+    let age_ns = now().nanoseconds() - time.nanoseconds();
+    time.nanosec < 1_000_000_000 && (0..600_000_000_000).contains(&age_ns)
 }
 
 /// Listens in a thread of its own.
@@ -252,6 +338,7 @@ fn listen(domain: u16, heard: &std::sync::Mutex<Heard>, stop: &AtomicBool) {
     let diagnostics = node
         .subscription::<DiagnosticArray>("/diagnostics", Quality::Stream)
         .unwrap();
+    let log = node.subscription::<Log>("/rosout", Quality::Log).unwrap();
     while !stop.load(Ordering::Relaxed) {
         thread::sleep(LOOK_EVERY);
         let mut heard = heard.lock().unwrap();
@@ -259,6 +346,7 @@ fn listen(domain: u16, heard: &std::sync::Mutex<Heard>, stop: &AtomicBool) {
         heard
             .odometry
             .extend(all(&odometry).into_iter().map(|o| (o, arrived)));
+        heard.log.extend(all(&log));
         heard.tf.extend(all(&tf));
         heard.tf_static.extend(all(&tf_static));
         // grids before their changes, as the node sends them
@@ -286,6 +374,7 @@ pub struct Robot {
     readings: Outlet<Imu>,
     infos: Outlet<CameraInfo>,
     tf: Outlet<TFMessage>,
+    clock: Outlet<Clock>,
     save: Client<Wire<TriggerRequest>, Wire<TriggerResponse>>,
     reset: Client<Wire<TriggerRequest>, Wire<TriggerResponse>>,
     parameters: Client<SetParametersRequest, SetParametersResponse>,
@@ -304,6 +393,7 @@ impl Robot {
             .publisher("/camera/camera_info", Quality::Latched)
             .unwrap();
         let tf = node.publisher("/tf", Quality::Stream).unwrap();
+        let clock = node.publisher("/clock", Quality::Stream).unwrap();
         let save = client(&mut node, "/monogrid/save", ("std_srvs", "Trigger"));
         let reset = client(&mut node, "/monogrid/reset", ("std_srvs", "Trigger"));
         let set = ("rcl_interfaces", "SetParameters");
@@ -314,6 +404,7 @@ impl Robot {
             readings,
             infos,
             tf,
+            clock,
             save,
             reset,
             parameters,
@@ -367,6 +458,12 @@ impl Robot {
         let transform = transform_of(Header { stamp, frame_id }, "base_link", odom_from_base);
         let transforms = vec![transform];
         assert!(self.tf.publish(TFMessage { transforms }));
+    }
+
+    /// Says what time it is in a simulation.
+    pub fn send_clock(&self, sec: i32) {
+        let clock = Time { sec, nanosec: 0 };
+        assert!(self.clock.publish(Clock { clock }));
     }
 
     /// Sends an image as it is now.

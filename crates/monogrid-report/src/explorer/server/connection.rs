@@ -23,8 +23,8 @@ pub type Answers = Mutex<Box<dyn FnMut(&str) -> Option<Answer> + Send>>;
 #[derive(Debug)]
 pub struct Site {
     pub address: SocketAddr,
-    /// What the path of a request begins with.
-    pub token: String,
+    /// What the path of a request begins with; `None` where everybody may ask.
+    pub token: Option<String>,
     pub limits: Limits,
 }
 
@@ -159,7 +159,7 @@ impl Site {
     }
 
     fn judge(&self, request: &Request) -> Result<String, &'static str> {
-        if !self.is_meant(request) {
+        if self.token.is_some() && !self.is_meant(request) {
             return Err("403 Forbidden");
         }
         let path = request.path.unwrap_or_default();
@@ -185,9 +185,12 @@ impl Site {
     /// The path below the address of this site.
     fn below<'a>(&self, path: &'a str) -> Option<&'a str> {
         let path = path.split('?').next()?;
-        let (token, rest) = path.strip_prefix('/')?.split_at_checked(self.token.len())?;
+        let Some(known) = &self.token else {
+            return Some(path);
+        };
+        let (token, rest) = path.strip_prefix('/')?.split_at_checked(known.len())?;
         // takes the same time wherever they differ
-        let differs = token.bytes().zip(self.token.bytes());
+        let differs = token.bytes().zip(known.bytes());
         let differs = differs.fold(0, |differs, (given, known)| differs | (given ^ known));
         (differs == 0 && rest.starts_with('/')).then_some(rest)
     }

@@ -11,7 +11,7 @@ mod tests;
 
 use crate::ReportError;
 use connection::{Answers, Connection, Site};
-use std::net::{Ipv4Addr, TcpListener};
+use std::net::{Ipv4Addr, SocketAddr, TcpListener};
 use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -65,6 +65,15 @@ impl Answer {
         }
     }
 
+    /// Text for programs.
+    pub fn text(text: String) -> Self {
+        Self {
+            kind: "text/plain; version=0.0.4; charset=utf-8",
+            policy: "default-src 'none'",
+            content: text.into_bytes().into(),
+        }
+    }
+
     /// Data for a page.
     pub fn json(json: Vec<u8>) -> Self {
         Self {
@@ -80,7 +89,8 @@ impl Answer {
     }
 }
 
-/// Listens on the loopback interface; it answers questions and takes nothing in.
+/// Listens on the loopback interface, unless it is told otherwise; it answers questions and takes
+/// nothing in.
 #[derive(Debug)]
 pub struct Server {
     listener: TcpListener,
@@ -93,15 +103,27 @@ impl Server {
         Self::limited(port, LIMITS)
     }
 
+    /// Begins to listen at an address, for everybody who reaches it: there is no token, and other
+    /// names of this computer are taken too.
+    pub fn listen_openly(address: SocketAddr) -> Result<Self, ReportError> {
+        Self::at(address, None, LIMITS)
+    }
+
     fn limited(port: u16, limits: Limits) -> Result<Self, ReportError> {
-        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))
-            .map_err(|source| ReportError::Port { port, source })?;
+        let address = (Ipv4Addr::LOCALHOST, port).into();
+        Self::at(address, Some(token()?), limits)
+    }
+
+    fn at(address: SocketAddr, token: Option<String>, limits: Limits) -> Result<Self, ReportError> {
+        let port = address.port();
+        let listener =
+            TcpListener::bind(address).map_err(|source| ReportError::Port { port, source })?;
         let ready = listener.set_nonblocking(true);
         ready.map_err(ReportError::Server)?;
         let address = listener.local_addr().map_err(ReportError::Server)?;
         let site = Site {
             address,
-            token: token()?,
+            token,
             limits,
         };
         Ok(Self { listener, site })
@@ -110,7 +132,10 @@ impl Server {
     /// What to open in a browser.
     pub fn url(&self) -> String {
         let Site { address, token, .. } = &self.site;
-        format!("http://{address}/{token}/")
+        let token = token
+            .as_ref()
+            .map_or_else(String::new, |token| format!("{token}/"));
+        format!("http://{address}/{token}")
     }
 
     /// Begins to answer; `answer` gets the path below the address, such as `/`. One answer is made

@@ -30,7 +30,7 @@ impl Site {
     fn new(limits: Limits) -> Self {
         let server = Server::limited(0, limits).unwrap();
         let port = server.site.address.port();
-        let token = server.site.token.clone();
+        let token = server.site.token.clone().unwrap();
         assert_eq!(server.url(), format!("http://127.0.0.1:{port}/{token}/"));
         let made = Arc::new(AtomicUsize::new(0));
         let answer = {
@@ -163,7 +163,7 @@ fn a_page_is_for_those_who_know_its_address_and_who_ask_this_computer() {
 
 #[test]
 fn no_two_servers_have_the_same_address() {
-    let tokens = [(); 2].map(|()| Server::listen(0).unwrap().site.token);
+    let tokens = [(); 2].map(|()| Server::listen(0).unwrap().site.token.unwrap());
     assert_ne!(tokens[0], tokens[1]);
     for token in tokens {
         assert!(token.len() == 32 && token.bytes().all(|byte| byte.is_ascii_hexdigit()));
@@ -475,7 +475,7 @@ fn a_panic_is_not_kept_quiet() {
 fn an_answer_that_takes_long_does_not_hold_up_the_end() {
     let server = Server::limited(0, PATIENT).unwrap();
     let address = server.site.address;
-    let path = server.site.token.clone();
+    let path = server.site.token.clone().unwrap();
     let (begun, begins) = std::sync::mpsc::channel();
     let serving = server.start(move |_| {
         begun.send(()).unwrap();
@@ -494,7 +494,7 @@ fn an_answer_that_takes_long_does_not_hold_up_the_end() {
 fn nothing_is_made_for_those_who_waited_when_the_server_ended() {
     let server = Server::limited(0, PATIENT).unwrap();
     let address = server.site.address;
-    let path = server.site.token.clone();
+    let path = server.site.token.clone().unwrap();
     let (begun, begins) = std::sync::mpsc::channel();
     let (go_on, goes_on) = std::sync::mpsc::channel::<()>();
     let made = Arc::new(AtomicUsize::new(0));
@@ -539,4 +539,26 @@ fn a_thread_that_does_not_end_is_left_alone() {
     assert_eq!(serving.end(), Ok(()));
     assert!(begin.elapsed() < 4 * END_WITHIN);
     drop(hold);
+}
+
+#[test]
+fn an_open_server_answers_everybody_and_takes_nothing_in() {
+    let server = Server::listen_openly((Ipv4Addr::LOCALHOST, 0).into()).unwrap();
+    let address = server.site.address;
+    assert_eq!(server.url(), format!("http://{address}/"));
+    let serving = server.start(|path| match path {
+        "/metrics" => Some(Answer::text("a 1\n".to_owned())),
+        _ => None,
+    });
+    let ask = |request: &str| {
+        let mut stream = TcpStream::connect(address).unwrap();
+        stream.write_all(request.as_bytes()).unwrap();
+        rest(&mut stream)
+    };
+    let answer = ask("GET /metrics?x HTTP/1.1\r\nHost: robots.example:9\r\n\r\n");
+    assert!(answer.starts_with("HTTP/1.1 200 OK") && answer.ends_with("\r\n\r\na 1\n"));
+    assert!(answer.contains("Content-Type: text/plain; version=0.0.4"));
+    assert!(ask("GET / HTTP/1.1\r\n\r\n").starts_with("HTTP/1.1 404"));
+    assert!(ask("POST /metrics HTTP/1.1\r\n\r\n").starts_with("HTTP/1.1 405"));
+    serving.unwrap().end().unwrap();
 }
