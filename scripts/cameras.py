@@ -66,7 +66,7 @@ def said(program, source):
 
 
 def main():
-    if len(sys.argv) < 2:
+    if len(sys.argv) < 2 or sys.argv[1].startswith("-"):
         sys.exit(__doc__)
     program = Path(sys.argv[1]).resolve()
     first, last = (list(map(int, sys.argv[2:])) + [0, 99][len(sys.argv) - 2 :])[:2]

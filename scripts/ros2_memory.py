@@ -57,6 +57,8 @@ def grown(pid, folder, minutes, hz):
 
 
 def main():
+    if len(sys.argv) < 3:
+        sys.exit(__doc__)
     program, folder = sys.argv[1], Path(sys.argv[2])
     minutes, hz = (float(sys.argv[k]) if len(sys.argv) > k else d for k, d in ((3, 10), (4, 30)))
     command = [program, "--calibration", folder / "calibration.txt"]
