@@ -145,7 +145,7 @@ impl UpSummary {
 }
 
 /// Confidence of the scene, a probability, from which up is called certain.
-const CERTAIN: f64 = 0.7;
+const CERTAIN: f64 = 0.6;
 
 /// Heights within this share of that of the cameras are one level surface.
 const SAME_HEIGHT: f64 = 0.05;
@@ -615,7 +615,7 @@ mod tests {
             let from = ("scene", Some(confidence));
             level(&-Vec3::y(), Some(&floor), "as the scene says", from)
         };
-        let (certain, guess) = (frame(0.75), frame(0.65));
+        let (certain, guess) = (frame(0.65), frame(0.55));
         assert!(certain.floor.is_some() && certain.level_surface.is_none());
         assert_eq!(guess.floor, None);
         assert_eq!(guess.level_surface.map(|s| s.camera_height), Some(0.7));
@@ -754,7 +754,7 @@ mod tests {
     fn up_is_certain_where_somebody_knows_it() {
         let is_certain = |from, confidence| UpSummary::new(from, confidence).is_certain;
         assert!(is_certain("imu", None) && is_certain("given", None));
-        assert!(is_certain("scene", Some(0.75)) && !is_certain("scene", Some(0.65)));
+        assert!(is_certain("scene", Some(0.65)) && !is_certain("scene", Some(0.55)));
         assert!(!is_certain("first-camera", Some(0.1)) && !is_certain("first-camera", None));
         assert!(is_certain("earlier", Some(0.85)) && !is_certain("earlier", Some(0.3)));
     }
