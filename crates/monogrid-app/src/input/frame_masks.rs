@@ -110,7 +110,8 @@ impl FrameMasks {
         Ok(image)
     }
 
-    /// The same of an image in colour; `None` where its mask cannot be asked for.
+    /// An image in colour without what the mask of its frame names; `None` where the masks are a
+    /// video, or this one cannot be read.
     pub fn apply_to_rgb(&self, frame: usize, image: &Image<[u8; 3]>) -> Option<Image<[u8; 3]>> {
         let Origin::Files(_, files) = &self.origin else {
             return None;

@@ -1,6 +1,7 @@
 //! What operators count: how a server is, as Prometheus reads it.
 
 use crate::messages::{AgentState, Fleet};
+use monogrid_app::process::usage::rss_bytes;
 use monogrid_report::ReportError;
 use monogrid_report::explorer::{Answer, Server, Serving};
 use std::collections::BTreeMap;
@@ -128,7 +129,7 @@ impl Counted<'_> {
             // keys of runs are letters, digits, -, _ and /
             let _ = writeln!(text, "{name}{{run=\"{run}\"}} {:.1}", silent.as_secs_f64());
         }
-        if let Some(bytes) = resident_bytes() {
+        if let Some(bytes) = rss_bytes() {
             let name = "process_resident_memory_bytes";
             head(&mut text, name, "Memory that the server holds.");
             let _ = writeln!(text, "{name} {bytes}");
@@ -143,16 +144,6 @@ fn head(text: &mut String, name: &str, help: &str) {
         false => "gauge",
     };
     let _ = writeln!(text, "# HELP {name} {help}\n# TYPE {name} {kind}");
-}
-
-/// Memory of this process, where the system says it (Linux).
-fn resident_bytes() -> Option<u64> {
-    let statm = std::fs::read_to_string("/proc/self/statm").ok()?;
-    let pages: u64 = statm.split_whitespace().nth(1)?.parse().ok()?;
-    #[cfg(unix)]
-    return Some(pages * rustix::param::page_size() as u64);
-    #[cfg(not(unix))]
-    return Some(pages * 4096);
 }
 
 #[cfg(test)]

@@ -69,7 +69,7 @@ pub enum ServerError {
     /// Its files cannot be written or read.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// Nobody can be told how it is.
+    /// Metrics cannot be served at their address.
     #[error("metrics: {0}")]
     Metrics(#[from] ReportError),
     /// Its network cannot be set up.

@@ -13,7 +13,8 @@ const REACH_DEG: [f64; 8] = [4.0, 4.0, 3.0, 3.0, 2.0, 2.0, 1.5, 1.5];
 /// Log-likelihood of up where all votes are for it, and of that share of them. This and the next
 /// are fitted, by maximum likelihood, to rendered recordings held level and askew (decision 028).
 const VOTES_LOG_LIKELIHOOD: f64 = 20.0;
-/// Power of the share of the votes that come from level planes: something level is in sight.
+/// Power of the share of the votes that come from level planes: something level is nearly always
+/// seen.
 const LEVEL_POWER: f64 = 2.0;
 /// What that share is at least: planes are missed.
 const MIN_LEVEL_SHARE: f64 = 0.02;
