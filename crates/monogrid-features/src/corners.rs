@@ -4,7 +4,7 @@
 use crate::{finest_pixel, noise_share};
 use monogrid_geometry::Vec2;
 use monogrid_image::lanes::Lanes;
-use monogrid_image::{GrayImage, Image, Mask, Pyramid, for_lanes};
+use monogrid_image::{GrayImage, Image, Mask, Pyramid, for_lanes, noise_sigma};
 
 /// Settings of the corner detector.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,8 +19,9 @@ pub struct CornerConfig {
     /// Smallest distance between two corners, level-0 px. Default 10.
     pub min_distance_px: f64,
     /// Smallest score on `level`: mean squared gradient in the weakest direction,
-    /// (grey levels / px)². Default 5; camera noise of two grey levels alone gives about 1.5. On
-    /// each coarser level a quarter of it, as the variance of the noise.
+    /// (grey levels / px)². Default 5, which suits noise of up to two grey levels; where an image
+    /// has more, as much more as its variance. On each coarser level a quarter of it, as the
+    /// variance of the noise.
     pub min_score: f32,
     /// No corner closer to the border than this, level-0 px. Default 12: room for a patch.
     pub border_px: usize,
@@ -47,6 +48,9 @@ pub struct Corner {
     /// Smaller eigenvalue of the mean structure tensor, (grey levels / px)².
     pub score: f32,
 }
+
+/// Variance of the noise up to which the smallest score is as set, grey levels².
+const USUAL_NOISE_VARIANCE: f64 = 4.0;
 
 /// Half width of the window of the structure tensor, px.
 const WINDOW: usize = 2;
@@ -75,12 +79,23 @@ pub fn detect_corners(
     }
     let coarsest = pyramid.num_levels() - 1;
     let first = config.level.min(coarsest);
+    let config = &in_noise(finest, config);
     let last = (first + config.num_coarser).min(coarsest);
     let mut corners = Vec::with_capacity(config.max_corners);
     for level in first..=last {
         detect_on_level(pyramid, level, mask, config, &mut taken, &mut corners);
     }
     corners
+}
+
+/// The settings for an image as noisy as this one.
+fn in_noise(image: &GrayImage, config: &CornerConfig) -> CornerConfig {
+    let variance = noise_sigma(image).map_or(0.0, |sigma| sigma * sigma);
+    let factor = (variance / USUAL_NOISE_VARIANCE).max(1.0);
+    CornerConfig {
+        min_score: config.min_score * factor as f32,
+        ..config.clone()
+    }
 }
 
 /// Adds the corners of one level that keep their distance from those taken.
@@ -409,7 +424,7 @@ mod tests {
     }
 
     /// Corners on a level and so many coarser ones of an image with noise of two grey levels.
-    fn in_noise(mut image: GrayImage, level: usize, num_coarser: usize) -> Vec<Corner> {
+    fn corners_in_noise(mut image: GrayImage, level: usize, num_coarser: usize) -> Vec<Corner> {
         add_noise(&mut image, 2.0, 3);
         let config = CornerConfig {
             level,
@@ -422,7 +437,10 @@ mod tests {
     #[test]
     fn faint_blotches_are_corners_on_coarser_levels_and_noise_is_on_none() {
         let faint = || blotches(320, 240, |x, y| (x, y));
-        let (finest, all) = (in_noise(faint(), 0, 0), in_noise(faint(), 0, 2));
+        let (finest, all) = (
+            corners_in_noise(faint(), 0, 0),
+            corners_in_noise(faint(), 0, 2),
+        );
         assert!(all.len() > 60, "{}", all.len());
         assert!(
             finest.len() * 3 < all.len(),
@@ -432,7 +450,7 @@ mod tests {
         );
         assert_eq!(all[..finest.len()], finest, "the finest level is first");
         let flat = GrayImage::filled(320, 240, 128.0);
-        let noise = in_noise(flat, 0, 2).len();
+        let noise = corners_in_noise(flat, 0, 2).len();
         assert!(
             noise * 20 < all.len(),
             "{noise} in noise, {} in all",

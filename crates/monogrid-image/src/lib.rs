@@ -10,6 +10,7 @@ mod depth_pixel;
 mod fill;
 mod gradient;
 pub mod lanes;
+mod noise;
 mod photometric;
 mod pyramid;
 mod undistort;
@@ -21,6 +22,7 @@ pub use buffer::{
 pub use depth_pixel::DepthPixel;
 pub use fill::fill_masked;
 pub use gradient::{GradientImage, max_gradient};
+pub use noise::noise_sigma;
 pub use photometric::{Photometric, PhotometricError};
 pub use pyramid::{Pyramid, half_size, pyramid_intrinsics};
 pub use undistort::{Undistorter, WorkingSize};
