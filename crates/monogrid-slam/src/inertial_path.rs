@@ -130,6 +130,7 @@ mod tests {
             frame_index: k as usize,
             timestamp_ns: k * 33_000_000,
             world_from_camera: Se3::new(Rotation::identity(), place(k as f64 * 0.033) / unit),
+            is_certain: true,
         };
         let poses: Vec<TrajectoryPose> = (0..180).map(pose).collect();
         InertialPath::new(Arc::new(imu), &poses, EstimateConfig::default(), is_metric)

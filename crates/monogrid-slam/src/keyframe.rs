@@ -216,4 +216,7 @@ pub struct TrajectoryPose {
     pub timestamp_ns: i64,
     /// Pose with all that is known now.
     pub world_from_camera: Se3,
+    /// Whether what the images show holds the pose of its keyframe: to a hundredth of the median
+    /// depth and 0.4 degrees (one standard deviation, beside the keyframes before).
+    pub is_certain: bool,
 }

@@ -13,6 +13,7 @@
 
 use monogrid_geometry::median;
 
+mod certainty;
 mod config;
 mod depth_step;
 #[doc(hidden)]

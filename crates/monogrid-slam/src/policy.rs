@@ -2,8 +2,7 @@
 
 use crate::tracker::{Support, Tracked};
 use crate::{
-    FragmentConfig, FragmentId, KeyframeConfig, LostReason, RefinementConfig, TrackingConfig,
-    TrackingState,
+    FragmentConfig, FragmentId, KeyframeConfig, LostReason, RefinementConfig, TrackingState,
 };
 use monogrid_alignment::Alignment;
 use std::cmp::Reverse;
@@ -62,34 +61,6 @@ pub(crate) fn demand(tracked: &Tracked, lost_in_a_row: usize) -> Demand {
         Demand::Convincing
     } else {
         Demand::None
-    }
-}
-
-/// How well a frame holds on to its keyframe.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Hold {
-    /// Root mean square residual, grey levels.
-    pub residual_rms: f64,
-    /// Largest standard deviation of the pose, median depths or rad; infinite where some motion
-    /// leaves the picture as it is.
-    pub sigma: f64,
-}
-
-/// Why the pose of a frame is to be doubted that passed all other tests: it agrees so much worse
-/// with its keyframe than is usual, or hangs on so much less. Before it is known what is usual,
-/// none is.
-pub(crate) fn doubt_about(
-    frame: &Hold,
-    usual_residual_rms: Option<f64>,
-    usual_sigma: Option<f64>,
-    config: &TrackingConfig,
-) -> Option<LostReason> {
-    if usual_residual_rms.is_some_and(|u| frame.residual_rms > config.doubtful_residual * u) {
-        Some(LostReason::Doubtful)
-    } else if usual_sigma.is_some_and(|u| frame.sigma > config.doubtful_sigma * u) {
-        Some(LostReason::Loose)
-    } else {
-        None
     }
 }
 
@@ -269,34 +240,6 @@ mod tests {
         let few = Some(LostReason::NoTexture);
         assert_eq!(state_at_points(Lost, few, false), Good);
         assert_eq!(state_at_points(Lost, few, true), Lost);
-    }
-
-    #[test]
-    fn a_frame_is_doubted_that_agrees_much_worse_than_usual_or_hangs_on_much_less() {
-        let config = TrackingConfig {
-            doubtful_residual: 1.5,
-            doubtful_sigma: 3.0,
-            ..TrackingConfig::default()
-        };
-        let doubt = |residual_rms, sigma| {
-            let frame = Hold {
-                residual_rms,
-                sigma,
-            };
-            doubt_about(&frame, Some(4.0), Some(0.001), &config)
-        };
-        assert_eq!(doubt(6.0, 0.003), None);
-        assert_eq!(doubt(6.01, 0.003), Some(LostReason::Doubtful));
-        assert_eq!(doubt(6.0, 0.00301), Some(LostReason::Loose));
-        assert_eq!(doubt(0.0, f64::INFINITY), Some(LostReason::Loose));
-        let worst = Hold {
-            residual_rms: 100.0,
-            sigma: f64::INFINITY,
-        };
-        assert_eq!(doubt_about(&worst, None, None, &config), None);
-        let known = |residual, sigma| doubt_about(&worst, residual, sigma, &config);
-        assert_eq!(known(Some(4.0), None), Some(LostReason::Doubtful));
-        assert_eq!(known(None, Some(0.001)), Some(LostReason::Loose));
     }
 
     #[test]

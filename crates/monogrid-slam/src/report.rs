@@ -14,8 +14,8 @@ pub enum TrackingState {
     /// The pose is believed.
     Good,
     /// The pose is believed, but less: grey values of frame and keyframe do not agree well enough
-    /// to refine depth, or much worse than those of the frames before ([`LostReason::Doubtful`]),
-    /// or hold the pose much less ([`LostReason::Loose`]).
+    /// to refine depth, or points hold the pose of the keyframe too little
+    /// ([`LostReason::Loose`]).
     Degraded,
     /// The pose is believed, but only within a fragment of which it is not known where it lies in
     /// the main map.
@@ -62,10 +62,7 @@ pub enum LostReason {
     NotRecognised,
     /// The image is the same as the one before; its pose was taken over.
     Repeated,
-    /// The grey values agree with the keyframe much worse than those of the frames before did.
-    Doubtful,
-    /// The grey values hold the pose much less than those of the frames before did: before a plain
-    /// wall the camera may slide.
+    /// Too little in view holds the pose of the keyframe: before a plain wall the camera may slide.
     Loose,
 }
 
@@ -82,8 +79,7 @@ impl fmt::Display for LostReason {
             Self::Jump => "implausible motion",
             Self::NotRecognised => "not recognised in the map",
             Self::Repeated => "repeated image",
-            Self::Doubtful => "grey values agree much worse than before",
-            Self::Loose => "grey values hold the pose much less than before",
+            Self::Loose => "too little in view holds the pose",
         })
     }
 }

@@ -82,16 +82,26 @@ pub fn verdict(summary: &Summary, tracked: &Tracked) -> String {
             "Only {share} % of the frames have a pose in the map: {}.",
             after_losses(num_lost, num_apart)
         ),
-        Status::Done if summary.keyframes == 1 && !summary.localise_only => format!(
+        Status::Uncertain => format!(
+            "{share} % of the frames have a pose, but too little in view held most of them: the \
+             map may be wrong. Film so that something with texture is always in view, and nobody \
+             fills it."
+        ),
+        Status::Done => done(summary, &share),
+    }
+}
+
+/// What is said of a run that went well.
+fn done(summary: &Summary, share: &str) -> String {
+    if summary.keyframes == 1 && !summary.localise_only {
+        return format!(
             "All that is mapped was seen from about one place: the map has one keyframe, and {} of \
              {} frames were seen from near it.",
             summary.tracked, summary.frames
-        ),
-        Status::Done => format!(
-            "{share} % of the frames have a pose; {}.",
-            after_losses(num_lost, num_apart)
-        ),
+        );
     }
+    let losses = after_losses(summary.lost_episodes, summary.num_apart());
+    format!("{share} % of the frames have a pose; {losses}.")
 }
 
 /// What became of tracking after it was lost so many times, of which so many left fragments that

@@ -9,6 +9,9 @@ const MAX_NAMED: usize = 3;
 /// Share of the frames without a pose from which coverage is named.
 const MIN_MISSING: f64 = 0.1;
 
+/// Share of the poses from which it is said that they are uncertain.
+const MIN_UNCERTAIN: f64 = 0.2;
+
 /// What is uncertain of a map, and what makes it certain.
 struct Uncertainty {
     what: &'static str,
@@ -68,10 +71,16 @@ fn of_depth(summary: &Summary, is_focal_assumed: bool) -> [Doubt; 4] {
     ]
 }
 
-fn of_places(summary: &Summary) -> [Doubt; 7] {
+fn of_places(summary: &Summary) -> [Doubt; 8] {
     let missing = 1.0 - summary.tracked as f64 / summary.frames.max(1) as f64;
     let is_open = summary.loop_closures == 0 && summary.keyframes >= OPEN_PATH;
+    let uncertain = summary.uncertain as f64 / summary.tracked.max(1) as f64;
     [
+        (
+            uncertain >= MIN_UNCERTAIN,
+            "the poses of many frames, which too little in view held",
+            "keep something with texture in view",
+        ),
         (
             missing >= MIN_MISSING,
             "what the frames without a pose saw, which is not in the map",

@@ -137,6 +137,7 @@ impl Map {
             exposure: new.exposure,
             world_from_keyframe: new.world_from_keyframe,
             camera_from_world: new.world_from_keyframe.to_se3().inverse(),
+            pose_sigma: None,
             covariance: None,
             measured: new.measured,
             depth: None,
@@ -240,6 +241,9 @@ impl Map {
         }
         for (id, pose) in adjusted.camera_from_world {
             self.keyframes[id as usize].camera_from_world = pose;
+        }
+        for (id, sigma) in adjusted.sigmas {
+            self.keyframes[id as usize].pose_sigma = Some(sigma);
         }
         for (point, idepth) in adjusted.idepths {
             self.points[point].idepth = idepth;

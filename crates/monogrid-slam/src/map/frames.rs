@@ -191,10 +191,11 @@ impl Map {
         let mut poses: Vec<TrajectoryPose> = self
             .corrected_poses()
             .filter(|(_, keyframe, _)| self[*keyframe].fragment == fragment)
-            .map(|(record, _, world_from_camera)| TrajectoryPose {
+            .map(|(record, keyframe, world_from_camera)| TrajectoryPose {
                 frame_index: record.frame_index,
                 timestamp_ns: record.timestamp_ns,
                 world_from_camera,
+                is_certain: self[keyframe].is_certain(),
             })
             .collect();
         poses.sort_by_key(|pose| (pose.timestamp_ns, pose.frame_index));

@@ -1,6 +1,7 @@
 //! A keyframe with everything that is known about it.
 
 use super::points::SeenPoints;
+use crate::certainty::PoseSigma;
 use crate::store::Kept;
 use crate::view::{Exposure, KeyframeImage, View};
 use crate::{FragmentId, KeptKeyframe, KeyframeId};
@@ -28,6 +29,9 @@ pub(crate) struct MapKeyframe {
     pub world_from_keyframe: Sim3,
     /// The same pose without the unit, as the points are adjusted with it.
     pub camera_from_world: Se3,
+    /// How well it is known; `None` for the first keyframe of a fragment, which is its world, and
+    /// where no points are adjusted.
+    pub pose_sigma: Option<PoseSigma>,
     /// Covariance of `parent_from_keyframe`, as the graph has it.
     pub covariance: Option<Mat7>,
     /// What a depth camera measured of what it sees; only in a fragment in metres.
@@ -53,6 +57,12 @@ impl MapKeyframe {
         // `relative` maps own units to the other's units: its scale is s_self / s_other; dividing
         // by it expresses the translation in own units.
         Se3::new(relative.rotation, relative.translation / relative.scale)
+    }
+
+    /// Whether its pose is certain; so is that of a world, and where nothing measures it.
+    pub(crate) fn is_certain(&self) -> bool {
+        let unit = self.world_from_keyframe.scale;
+        self.pose_sigma.is_none_or(|sigma| sigma.is_certain(unit))
     }
 
     /// Pose in the world of a frame known relative to this keyframe (translation in its units).
@@ -81,6 +91,7 @@ mod tests {
             exposure: Exposure::NEUTRAL,
             world_from_keyframe,
             camera_from_world: world_from_keyframe.to_se3().inverse(),
+            pose_sigma: None,
             covariance: None,
             measured: None,
             depth: None,

@@ -1,6 +1,7 @@
 //! Points of the sparse layer, and what a keyframe knows about them.
 
 use crate::KeyframeId;
+use crate::certainty::PoseSigma;
 use monogrid_geometry::{Se3, Vec2};
 use monogrid_graph::bundle::BundleError;
 use std::ops::Range;
@@ -135,6 +136,8 @@ pub(crate) struct Registration {
 /// What a bundle adjustment says.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Adjustment {
+    /// How well the adjusted poses are known, if it was asked.
+    pub sigmas: Vec<(KeyframeId, PoseSigma)>,
     pub camera_from_world: Vec<(KeyframeId, Se3)>,
     pub idepths: Vec<(usize, f64)>,
     /// Points, and keyframes that do not see them after all.

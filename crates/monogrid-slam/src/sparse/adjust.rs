@@ -2,6 +2,7 @@
 
 use super::looks::Looks;
 use super::{LeftLens, SparseConfig};
+use crate::certainty::PoseSigma;
 use crate::map::{Adjustment, Map, MapKeyframe};
 use crate::{FragmentId, KeyframeId};
 use monogrid_geometry::Pinhole;
@@ -52,17 +53,27 @@ impl Gauge {
     }
 }
 
-/// Adjusts the window around the newest keyframe; says which observations do not fit.
+/// Adjusts the window around the newest keyframe; says which observations do not fit, and how well
+/// the adjusted poses are known.
 pub(crate) fn adjust_window(map: &Map, pinhole: &Pinhole, config: &SparseConfig) -> Adjustment {
     let lens = LeftLens::of_pinhole(pinhole);
     let Some(newest) = map.newest() else {
         return Adjustment::default();
     };
     let free = window(map, newest, config);
-    let settings = bundle_settings(MAX_ITERATIONS, config);
-    adjust_by(map, newest.fragment, free, &lens, &|problem| {
+    let settings = BundleConfig {
+        with_covariance: true,
+        ..bundle_settings(MAX_ITERATIONS, config)
+    };
+    let mut adjustment = adjust_by(map, newest.fragment, free, &lens, &|problem| {
         adjust(&problem.bundle, &settings)
-    })
+    });
+    let sigmas = &mut adjustment.sigmas;
+    if newest.rank > 0 && !sigmas.iter().any(|(id, _)| *id == newest.id) {
+        // no points hold it
+        sigmas.push((newest.id, PoseSigma::UNKNOWN));
+    }
+    adjustment
 }
 
 /// Adjusts all keyframes of a fragment and all points that they share; says which observations do
@@ -237,6 +248,19 @@ impl Problem {
         })
     }
 
+    /// How well the poses that were adjusted are known beside those that were not.
+    fn sigmas(&self, solution: &BundleSolution) -> Vec<(KeyframeId, PoseSigma)> {
+        let Some(covariance) = &solution.covariance else {
+            return Vec::new();
+        };
+        let all = self.keyframes.iter().zip(&self.bundle.keyframes);
+        let free = all
+            .zip(&covariance.poses)
+            .filter(|((_, keyframe), _)| keyframe.freedom != PoseFreedom::Fixed);
+        free.map(|((id, _), covariance)| (*id, PoseSigma::of(covariance)))
+            .collect()
+    }
+
     /// What a solution says about keyframes and points.
     fn adjustment(&self, solution: &BundleSolution) -> Adjustment {
         let camera_from_world = solution.camera_from_world.iter().copied();
@@ -245,6 +269,7 @@ impl Problem {
         let points = self.points.iter().copied();
         let observations = self.bundle.observations.iter();
         Adjustment {
+            sigmas: self.sigmas(solution),
             camera_from_world: keyframes.zip(camera_from_world).collect(),
             idepths: points.zip(idepths).collect(),
             refuted: observations

@@ -25,7 +25,6 @@ mod bridge;
 mod change;
 mod constrain;
 mod depth;
-mod doubt;
 mod inertia;
 mod keyframes;
 mod lost;

@@ -9,8 +9,8 @@ use crate::{FrameReport, InFragment, KeyframeId, LostReason, MAIN_MAP, TrackingS
 pub(super) struct Attempt {
     pub keyframe: KeyframeId,
     pub tracked: Tracked,
-    /// Why its pose is to be doubted although it is believed.
-    pub doubt: Option<LostReason>,
+    /// Whether the pose of the keyframe is certain.
+    pub is_certain: bool,
 }
 
 /// What a frame did to the keyframe in use.
@@ -41,9 +41,9 @@ impl FrameReport {
             if tracked.state != TrackingState::Lost {
                 report.covariance = alignment.covariance;
             }
-            if attempt.doubt.is_some() && tracked.state == TrackingState::Good {
+            if !attempt.is_certain && tracked.state == TrackingState::Good {
                 report.state = TrackingState::Degraded;
-                report.reason = attempt.doubt;
+                report.reason = Some(LostReason::Loose);
             }
         }
         report
@@ -64,5 +64,53 @@ impl FrameReport {
         self.state = TrackingState::Good;
         self.reason = None;
         self.place(place);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tracker::Support;
+    use crate::tracker::tests::perfect;
+    use monogrid_alignment::Target;
+    use monogrid_geometry::Pinhole;
+    use monogrid_image::{GrayImage, Pyramid};
+    use std::sync::Arc;
+
+    #[test]
+    fn a_good_pose_on_a_keyframe_that_is_not_certain_is_degraded() {
+        let pinhole = Pinhole {
+            fx: 30.0,
+            fy: 30.0,
+            cx: 16.0,
+            cy: 16.0,
+        };
+        let pyramid = Pyramid::new(GrayImage::filled(32, 32, 0.0), 1);
+        let frame = Frame {
+            index: 0,
+            timestamp_ns: 0,
+            target: Target::new(&pyramid, &pinhole, 0, 0),
+            pyramid: Arc::new(pyramid),
+            measured: None,
+        };
+        let report = |state, is_certain| {
+            let attempt = Attempt {
+                keyframe: 0,
+                tracked: Tracked {
+                    alignment: perfect(1000),
+                    is_surprising: false,
+                    support: Support::None,
+                    state,
+                    reason: None,
+                },
+                is_certain,
+            };
+            let report = FrameReport::of(&frame, Some(&attempt));
+            (report.state, report.reason)
+        };
+        use TrackingState::{Degraded, Good, Lost};
+        assert_eq!(report(Good, true), (Good, None));
+        assert_eq!(report(Good, false), (Degraded, Some(LostReason::Loose)));
+        assert_eq!(report(Lost, false), (Lost, None));
     }
 }

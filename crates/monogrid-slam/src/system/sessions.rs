@@ -191,6 +191,7 @@ fn restored_keyframe(
         exposure,
         world_from_keyframe: stored.world_from_keyframe,
         camera_from_world: stored.world_from_keyframe.to_se3().inverse(),
+        pose_sigma: None,
         covariance: None,
         measured: None,
         depth: Some(store.keep(depth.packed())),

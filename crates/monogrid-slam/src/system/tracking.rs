@@ -1,7 +1,6 @@
 //! A frame is tracked on the current keyframe, and believed or not; so are frames that were missed:
 //! the keyframe in use may show what frames saw that were taken before one with a pose.
 
-use super::doubt::Doubt;
 use super::outcome::Attempt;
 use crate::frame::{BufferedFrame, Frame};
 use crate::map::Map;
@@ -21,8 +20,6 @@ pub(super) struct Tracker {
     pub active: Option<Active>,
     /// The last frame with a believed pose.
     pub last: Option<Last>,
-    /// How well the last frames agreed with their keyframes.
-    doubt: Doubt,
 }
 
 /// The keyframe that frames are tracked on.
@@ -54,22 +51,17 @@ impl Active {
 impl Tracker {
     /// Tracks a frame on the keyframe in use, and doubts what it finds; `None` without a keyframe.
     pub(super) fn step(
-        &mut self,
+        &self,
         setup: &Setup,
         map: &Map,
         frame: &Frame,
         lost_in_a_row: usize,
     ) -> Option<Attempt> {
         let (active, last) = (self.active.as_ref()?, self.last.as_ref()?);
-        let tracked = active.track(setup, map, last, frame, lost_in_a_row);
-        let is_believed = tracked.state != TrackingState::Lost;
-        let config = &setup.config.tracking;
         Some(Attempt {
             keyframe: active.id,
-            doubt: is_believed
-                .then(|| self.doubt.judge(&tracked.alignment, config))
-                .flatten(),
-            tracked,
+            tracked: active.track(setup, map, last, frame, lost_in_a_row),
+            is_certain: map[active.id].is_certain(),
         })
     }
 
@@ -80,7 +72,7 @@ impl Tracker {
         Some(Attempt {
             keyframe: active.id,
             tracked: active.track(setup, map, last, frame, 0),
-            doubt: None,
+            is_certain: map[active.id].is_certain(),
         })
     }
 

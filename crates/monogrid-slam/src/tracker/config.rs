@@ -28,14 +28,6 @@ pub struct TrackingConfig {
     pub(crate) min_correlation: f64,
     /// Degraded below this share of good points of the visible ones.
     pub(crate) degraded_good_of_visible: f32,
-    /// Reported as degraded where the residual is more than so many times the median of the last
-    /// 200 frames: the camera may have slid in front of a plain wall, whatever else it sees.
-    pub(crate) doubtful_residual: f64,
-    /// Reported as degraded, too, where the largest standard deviation of the pose is more than so
-    /// many times that of these frames.
-    pub(crate) doubtful_sigma: f64,
-    /// Frames for which that doubt lasts at least, this one counted.
-    pub(crate) doubtful_frames: usize,
     /// After a loss or a surprise, or with degraded residuals, a pose is believed only with this
     /// correlation of the grey values.
     pub(crate) return_correlation: f64,
@@ -75,9 +67,6 @@ impl Default for TrackingConfig {
             min_good_of_visible: 0.55,
             min_correlation: 0.4,
             degraded_good_of_visible: 0.7,
-            doubtful_residual: 1.5,
-            doubtful_sigma: 3.5,
-            doubtful_frames: 5,
             return_correlation: 0.8,
             return_good_of_visible: 0.85,
             return_usage: 0.5,

@@ -34,6 +34,7 @@ impl Summary {
             frames: num_frames(input, tracked) - repeated,
             repeated,
             tracked: tracked.run.trajectory.len(),
+            uncertain: tracked.run.trajectory.len() - tracked.num_certain(),
             skipped: count(tracked, |fate| matches!(fate, FrameFate::Skipped(_))),
             dropped: count(tracked, |fate| matches!(fate, FrameFate::Dropped)),
             latency_ms: Latency::of(&tracked.rows),

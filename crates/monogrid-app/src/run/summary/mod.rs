@@ -130,6 +130,8 @@ pub struct Summary {
     pub frames: usize,
     /// Frames with a believed pose in the map.
     pub tracked: usize,
+    /// Those of them whose pose is uncertain: too little in view held it.
+    pub uncertain: usize,
     /// Frames of the source that repeat the one before and were left out.
     pub repeated: usize,
     /// Unreadable frames.

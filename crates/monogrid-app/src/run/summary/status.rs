@@ -33,6 +33,8 @@ pub enum Status {
     Fragment,
     /// Fewer than half of the frames have a pose in the map, although the last ones do.
     Partial,
+    /// Fewer than half of the frames have a pose in the map that is certain.
+    Uncertain,
     /// Too many images in a row could not be read.
     Unreadable,
     /// A part of the program failed; what was mapped until then is there.
@@ -59,6 +61,7 @@ impl Status {
                 Some(TrackingState::Lost) => Self::Lost,
                 Some(_) if !has_last_frame(tracked) => Self::Fragment,
                 _ if !is_half(tracked.run.trajectory.len(), &tracked.rows) => Self::Partial,
+                _ if !is_half(tracked.num_certain(), &tracked.rows) => Self::Uncertain,
                 _ => Self::Done,
             },
         }
@@ -73,7 +76,8 @@ impl Status {
             | Self::NotRecognised
             | Self::Lost
             | Self::Fragment
-            | Self::Partial => Outcome::NotTracked,
+            | Self::Partial
+            | Self::Uncertain => Outcome::NotTracked,
             Self::Interrupted => Outcome::Interrupted,
             // said as a failure
             Self::Done | Self::Unreadable | Self::BrokeOff | Self::Failed => Outcome::Done,
@@ -148,7 +152,9 @@ mod tests {
             ..row(11, TrackingState::Good)
         });
         assert!(!is_half(5, &rows));
-        assert_eq!(Status::Partial.outcome(), Outcome::NotTracked);
+        for status in [Status::Partial, Status::Uncertain] {
+            assert_eq!(status.outcome(), Outcome::NotTracked);
+        }
     }
 
     #[test]

@@ -50,3 +50,11 @@ pub struct Tracked {
     /// How the camera moves, where that is why there is no map.
     pub no_map: Option<CameraMotion>,
 }
+
+impl Tracked {
+    /// Frames with a pose in the map that is certain.
+    pub fn num_certain(&self) -> usize {
+        let poses = self.run.trajectory.iter();
+        poses.filter(|pose| pose.is_certain).count()
+    }
+}

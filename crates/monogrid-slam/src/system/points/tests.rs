@@ -1,5 +1,5 @@
 use super::*;
-use crate::map::{Adjustment, Observation};
+use crate::map::{Adjustment, MapKeyframe, Observation};
 use crate::sparse::SparseConfig;
 use crate::system::Slam;
 use crate::test_world::small_demo;
@@ -250,4 +250,36 @@ fn only_a_map_that_shows_nothing_wrong_with_its_camera_is_adjusted_to_images() {
     assert_ne!(finished(true, all, 0.0), without);
     // and something that they show
     assert_eq!(finished(true, all, 1e-4), finished(false, 0, 1e-4));
+}
+
+#[test]
+fn a_keyframe_is_certain_while_it_shares_points_with_others() {
+    let mut slam = with_keyframes(small_demo());
+    let (first, others) = slam.map.keyframes().split_first().unwrap();
+    assert_eq!(first.pose_sigma, None, "the world");
+    let is_held = |k: &&MapKeyframe| k.pose_sigma.is_some() && k.is_certain();
+    assert_eq!(others.iter().filter(is_held).count(), others.len());
+    let before = slam.trajectory();
+    assert!(before.iter().all(|pose| pose.is_certain));
+
+    let newest = slam.map.newest().unwrap();
+    let seen = newest.points.all().map(|i| (i, &slam.map.points()[i]));
+    let refuted = seen.flat_map(|(i, point)| {
+        let observed = point.observations.iter().map(move |o| (i, o.keyframe));
+        observed.filter(move |(_, id)| point.host == newest.id || *id == newest.id)
+    });
+    let refuted = refuted.collect();
+    slam.map.adjust(Adjustment {
+        refuted,
+        ..Adjustment::default()
+    });
+    let alone = adjust_window(&slam.map, &slam.setup.pinhole, &slam.setup.config.sparse);
+    slam.map.adjust(alone);
+    assert!(!slam.map.newest().unwrap().is_certain());
+    let certain = slam
+        .trajectory()
+        .iter()
+        .filter(|pose| pose.is_certain)
+        .count();
+    assert!(certain < before.len(), "frames on it are not either");
 }

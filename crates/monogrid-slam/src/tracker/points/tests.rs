@@ -74,6 +74,7 @@ fn map(step: usize) -> Map {
         exposure: Exposure::NEUTRAL,
         world_from_keyframe: Sim3::identity(),
         camera_from_world: Se3::identity(),
+        pose_sigma: None,
         covariance: None,
         measured: None,
         depth: None,
