@@ -29,8 +29,9 @@ pub(crate) struct MapKeyframe {
     pub world_from_keyframe: Sim3,
     /// The same pose without the unit, as the points are adjusted with it.
     pub camera_from_world: Se3,
-    /// How well it is known; `None` for the first keyframe of a fragment, which is its world, and
-    /// where no points are adjusted.
+    /// How well it was known when the keyframe was made: what is mapped from there is no better.
+    /// `None` for the first keyframe of a fragment, which is its world, and where no points are
+    /// adjusted.
     pub pose_sigma: Option<PoseSigma>,
     /// Covariance of `parent_from_keyframe`, as the graph has it.
     pub covariance: Option<Mat7>,

@@ -54,7 +54,7 @@ impl Gauge {
 }
 
 /// Adjusts the window around the newest keyframe; says which observations do not fit, and how well
-/// the adjusted poses are known.
+/// the pose of that keyframe is known.
 pub(crate) fn adjust_window(map: &Map, pinhole: &Pinhole, config: &SparseConfig) -> Adjustment {
     let lens = LeftLens::of_pinhole(pinhole);
     let Some(newest) = map.newest() else {
@@ -65,15 +65,14 @@ pub(crate) fn adjust_window(map: &Map, pinhole: &Pinhole, config: &SparseConfig)
         with_covariance: true,
         ..bundle_settings(MAX_ITERATIONS, config)
     };
-    let mut adjustment = adjust_by(map, newest.fragment, free, &lens, &|problem| {
+    let adjustment = adjust_by(map, newest.fragment, free, &lens, &|problem| {
         adjust(&problem.bundle, &settings)
     });
-    let sigmas = &mut adjustment.sigmas;
-    if newest.rank > 0 && !sigmas.iter().any(|(id, _)| *id == newest.id) {
-        // no points hold it
-        sigmas.push((newest.id, PoseSigma::UNKNOWN));
+    Adjustment {
+        // no points hold one that was not adjusted
+        newest: (newest.rank > 0).then(|| adjustment.newest.unwrap_or(PoseSigma::UNKNOWN)),
+        ..adjustment
     }
-    adjustment
 }
 
 /// Adjusts all keyframes of a fragment and all points that they share; says which observations do
@@ -248,17 +247,11 @@ impl Problem {
         })
     }
 
-    /// How well the poses that were adjusted are known beside those that were not.
-    fn sigmas(&self, solution: &BundleSolution) -> Vec<(KeyframeId, PoseSigma)> {
-        let Some(covariance) = &solution.covariance else {
-            return Vec::new();
-        };
-        let all = self.keyframes.iter().zip(&self.bundle.keyframes);
-        let free = all
-            .zip(&covariance.poses)
-            .filter(|((_, keyframe), _)| keyframe.freedom != PoseFreedom::Fixed);
-        free.map(|((id, _), covariance)| (*id, PoseSigma::of(covariance)))
-            .collect()
+    /// How well the newest pose is known beside those that were not adjusted, if it was.
+    fn newest(&self, solution: &BundleSolution) -> Option<PoseSigma> {
+        let is_free = self.bundle.keyframes.last()?.freedom != PoseFreedom::Fixed;
+        let covariance = solution.covariance.as_ref()?.poses.last()?;
+        is_free.then(|| PoseSigma::of(covariance))
     }
 
     /// What a solution says about keyframes and points.
@@ -269,7 +262,7 @@ impl Problem {
         let points = self.points.iter().copied();
         let observations = self.bundle.observations.iter();
         Adjustment {
-            sigmas: self.sigmas(solution),
+            newest: self.newest(solution),
             camera_from_world: keyframes.zip(camera_from_world).collect(),
             idepths: points.zip(idepths).collect(),
             refuted: observations
