@@ -4,7 +4,7 @@ use crate::convert::{camera_of, gray_image, gray_of_compressed};
 use crate::error::BagError;
 use crate::message::{Messages, Raw};
 use crate::part::{Format, Part, is_packed, parts_of};
-use crate::topic::{Family, Indexed, Topic, TopicKind};
+use crate::topic::{Family, Indexed, Topic, TopicKind, listed};
 use crate::{db3, foxglove, mcap, ros1};
 use monogrid_geometry::Camera;
 use monogrid_image::GrayImage;
@@ -158,27 +158,18 @@ impl Bag {
         if let Some(found) = found {
             return Ok(found);
         }
-        let names = |topics: &[&Topic]| {
-            let names = topics
-                .iter()
-                .map(|t| format!("{} ({})", t.name, t.type_name));
-            names.collect::<Vec<_>>().join(", ")
-        };
         let reason = match name {
             _ if self.topics.is_empty() => "there are no messages".to_owned(),
-            _ if images.is_empty() => {
-                let all: Vec<&Topic> = self.topics.iter().collect();
-                format!(
-                    "there is no topic with images; there are {}; images are sensor_msgs/Image, \
-                     CompressedImage, foxglove.RawImage, CompressedImage or CompressedVideo",
-                    names(&all)
-                )
-            }
+            _ if images.is_empty() => format!(
+                "there is no topic with images; there are {}; images are sensor_msgs/Image, \
+                 CompressedImage, foxglove.RawImage, CompressedImage or CompressedVideo",
+                listed(&self.topics)
+            ),
             None => format!(
                 "images of which topic? say it with --topic NAME; there are {}",
-                names(&images)
+                listed(images)
             ),
-            Some(name) => format!("no images of {name}: there are {}", names(&images)),
+            Some(name) => format!("no images of {name}: there are {}", listed(images)),
         };
         Err(BagError::damaged(&self.path, reason))
     }
