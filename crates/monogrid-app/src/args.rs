@@ -178,8 +178,8 @@ pub struct SourceArgs {
     /// --profile fast]
     #[arg(long, value_name = "WxH", value_parser = size, help_heading = "Input")]
     pub size: Option<(usize, usize)>,
-    /// Image of the size of the input, black where pixels must be ignored; one for each frame where
-    /// this is a folder with images of the same names, or a video
+    /// Image, black where pixels must be ignored; one for each frame where this is a folder with
+    /// images of the same names, or a video
     #[arg(long, value_name = "PATH", help_heading = "Input")]
     pub mask: Option<PathBuf>,
     /// Readings of an inertial sensor beside the camera, CSV, or a topic of the recording [default:

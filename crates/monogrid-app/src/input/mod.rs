@@ -20,7 +20,7 @@ use crate::process::failure::{Classify, Failure};
 use crate::process::interrupt::is_interrupted;
 use monogrid_calibration::CameraMotion;
 use monogrid_datasets::{
-    Calibration, Dataset, FixedPart, FrameEntry, Levels, SourceOptions, read_gray_in, read_mask,
+    Calibration, Dataset, FixedPart, FrameEntry, Levels, SourceOptions, read_gray_in,
     read_photometric,
 };
 use monogrid_geometry::{Camera, Pinhole, ReadoutDirection, Se3};
@@ -351,8 +351,10 @@ impl Input {
                 read_photometric(dataset.response_path.as_deref(), vignette).bad_input()
             },
         )?;
-        let camera = (&known, raw.reading.masks.is_some());
-        let preparation = preparation(camera, (args, usual, fixed.as_ref()), photometric)?;
+        if let Some(masks) = &raw.reading.masks {
+            masks.check(size)?;
+        }
+        let preparation = preparation(&known, (args, usual, fixed.as_ref()), photometric)?;
         let (inertial, no_readings) = readings(&raw, args, known.body_from_camera)?;
         let mut warnings = match &raw.images {
             Images::Files(dataset) => dataset.warnings.clone(),
@@ -738,26 +740,24 @@ fn no_calibration(reason: &str) -> Failure {
     ))
 }
 
-/// From images of this camera, where each has a mask of its own or not, to working images.
+/// From images of this camera to working images.
 fn preparation(
-    (known, has_masks): (&KnownCamera, bool),
+    known: &KnownCamera,
     (args, usual, fixed): (&SourceArgs, WorkingSize, Option<&FixedPart>),
     photometric: Photometric,
 ) -> Result<Preparation, Failure> {
     let camera = &known.camera;
-    let file = args.mask.as_deref().filter(|_| !has_masks);
-    let users = user_mask(file, (camera.width, camera.height))?;
-    let mask = both(users, fixed.map(|fixed| &fixed.mask));
+    let mask = fixed.map(|fixed| &fixed.mask);
     let size = match args.size {
         None => usual,
         Some((width, height)) => WorkingSize::Exact { width, height },
     };
-    let preparation = Preparation::new(camera, size, mask.as_ref(), photometric)
+    let preparation = Preparation::new(camera, size, mask, photometric)
         .with_readout_ms(known.readout_ms.unwrap_or(0.0));
     let usable = preparation.mask().as_slice();
     if usable.iter().all(|&valid| valid == 0) {
         return Err(Failure::input(
-            "no pixel of the image may be used: check --mask and the calibration",
+            "no pixel of the image may be used: check the calibration",
         ));
     }
     Ok(preparation)
@@ -814,38 +814,6 @@ fn make_square(calibration: &mut Calibration, video: &VideoSource) {
          was stretched with them",
         calibration.path.display()
     ));
-}
-
-/// What both masks leave.
-fn both(users: Option<Mask>, fixed: Option<&Mask>) -> Option<Mask> {
-    let (Some(mut mask), Some(fixed)) = (users.clone(), fixed) else {
-        return users.or(fixed.cloned());
-    };
-    for y in 0..mask.height() {
-        for (pixel, fixed) in mask.row_mut(y).iter_mut().zip(fixed.row(y)) {
-            *pixel = (*pixel).min(*fixed);
-        }
-    }
-    Some(mask)
-}
-
-fn user_mask(
-    file: Option<&Path>,
-    (width, height): (usize, usize),
-) -> Result<Option<Mask>, Failure> {
-    let Some(path) = file else {
-        return Ok(None);
-    };
-    let mask = read_mask(path).bad_input()?;
-    if (mask.width(), mask.height()) != (width, height) {
-        return Err(Failure::input(format!(
-            "mask {} is {}x{} pixels, the images are {width}x{height}",
-            path.display(),
-            mask.width(),
-            mask.height()
-        )));
-    }
-    Ok(Some(mask))
 }
 
 #[cfg(test)]

@@ -85,7 +85,7 @@ fn frames(input: &Input) -> Box<dyn Iterator<Item = CheckedFrame> + '_> {
         return in_order();
     };
     let masks = input.reading.masks.as_ref();
-    if masks.is_some_and(|masks| !masks.are_files()) {
+    if masks.is_some_and(|masks| !masks.is_any_known()) {
         return in_order();
     }
     let mut budget = dataset.pixel_budget();
