@@ -58,7 +58,8 @@ pub(crate) fn open(
         let opened = Opened::new(description, Box::new(frames));
         return Ok((opened, camera, topics));
     }
-    let images = bag.images(topic);
+    let levels = bag.levels(topic);
+    let images = bag.images_in(topic, levels);
     let name = name.to_owned();
     let frame = move |(frame, image): (usize, Result<(i64, GrayImage), BagError>)| match image {
         Ok((timestamp_ns, image)) => Ok(VideoFrame {
@@ -71,6 +72,7 @@ pub(crate) fn open(
         }
         Err(error) => Err(error.into()),
     };
-    let opened = Opened::new(description, Box::new(images.enumerate().map(frame)));
+    let mut opened = Opened::new(description, Box::new(images.enumerate().map(frame)));
+    opened.notes.extend(levels.note());
     Ok((opened, camera, topics))
 }
