@@ -201,11 +201,10 @@ impl RawInput {
         if let Images::Video(video) = &self.images {
             return Ok((video.size, video.direction));
         }
-        let first = match &self.images {
-            Images::Files(dataset) => first_image(&self.frames, &self.reading, dataset)?,
+        let size = match &self.images {
+            Images::Files(dataset) => usual_size(&self.frames, &self.reading, dataset)?,
             _ => return Err(Failure::input("the source has no frames")),
         };
-        let size = (first.width(), first.height());
         Ok((size, ReadoutDirection::of_size(size)))
     }
 
@@ -609,15 +608,20 @@ fn chosen<T: Clone>(frames: &[T], args: &SourceArgs) -> Vec<T> {
     frames_from_start.take(at_most).cloned().collect()
 }
 
-/// The first image that can be decoded, for the size.
-fn first_image(
+/// Images of one size that make it that of the source, where none of another came before them.
+const ALIKE: usize = 3;
+
+/// Width and height of most of the first images that can be decoded; of equally many, those of the
+/// earlier ones.
+fn usual_size(
     frames: &[FrameEntry],
     reading: &Reading,
     dataset: &Dataset,
-) -> Result<GrayImage, Failure> {
+) -> Result<(usize, usize), Failure> {
     let cpu_ns = AtomicU64::new(0);
     let tried = frames.len().min(MAX_UNREADABLE_IN_A_ROW);
     let mut first_error = None;
+    let mut sizes: Vec<((usize, usize), usize)> = Vec::new();
     let files = (
         frames[..tried].to_vec(),
         reading.levels,
@@ -625,12 +629,28 @@ fn first_image(
     );
     for (.., image) in read_files(files, reading.patience, &cpu_ns) {
         match image {
-            Ok(image) => return Ok(image),
-            Err(Unusable::BrokeOff(reason)) => return Err(Failure::running(reason)),
+            Ok(image) => {
+                let size = (image.width(), image.height());
+                match sizes.iter_mut().find(|(known, _)| *known == size) {
+                    Some((_, count)) => *count += 1,
+                    None => sizes.push((size, 1)),
+                }
+                if matches!(*sizes, [(_, ALIKE)]) {
+                    break;
+                }
+            }
+            Err(Unusable::BrokeOff(reason)) if sizes.is_empty() => {
+                return Err(Failure::running(reason));
+            }
+            Err(Unusable::BrokeOff(_)) => break,
             Err(error) => {
                 first_error.get_or_insert(error);
             }
         }
+    }
+    // the last of equal ones, from behind
+    if let Some((size, _)) = sizes.iter().rev().max_by_key(|(_, count)| *count) {
+        return Ok(*size);
     }
     if is_interrupted() {
         return Err(Failure::Interrupted);
@@ -819,6 +839,31 @@ fn make_square(calibration: &mut Calibration, video: &VideoSource) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use monogrid_datasets::encode_png;
+    use monogrid_image::Image;
+
+    #[test]
+    fn the_size_of_most_of_the_first_images_counts() {
+        let folder = tempfile::tempdir().unwrap();
+        let args = SourceArgs {
+            fov: Some(60.0),
+            ..SourceArgs::default()
+        };
+        for (sizes, expected) in [
+            (vec![40, 80, 80, 80, 40], 80),
+            (vec![80, 40, 80, 40], 80),
+            (vec![40], 40),
+        ] {
+            let path = folder.path().join(sizes.len().to_string());
+            std::fs::create_dir(&path).unwrap();
+            for (k, width) in sizes.into_iter().enumerate() {
+                let image = Image::from_fn(width, 60, |x, y| (3 * x + y) as u8);
+                std::fs::write(path.join(format!("{k}.png")), encode_png(&image)).unwrap();
+            }
+            let input = Input::open(&path, &args, WorkingSize::AUTOMATIC).unwrap();
+            assert_eq!(input.camera().width, expected);
+        }
+    }
 
     #[test]
     fn frames_are_counted_after_those_left_out() {

@@ -1,6 +1,8 @@
 //! What a run did, counted.
 
-use super::{ARBITRARY, CameraSummary, FragmentSummary, Latency, METRIC, MapFacts, Seconds, Status, Summary};
+use super::{
+    ARBITRARY, CameraSummary, FragmentSummary, Latency, METRIC, MapFacts, Seconds, Status, Summary,
+};
 use crate::input::Input;
 use crate::input::seen::name;
 use crate::run::RunSettings;
