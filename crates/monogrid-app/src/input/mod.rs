@@ -661,16 +661,16 @@ fn usual_size(
 }
 
 /// The inertial sensor beside the camera, or why it is left out: of a recording its topic, unless a
-/// file is named.
+/// path is named.
 fn readings(
     raw: &RawInput,
     args: &SourceArgs,
     body_from_camera: Option<Se3>,
 ) -> Result<(Option<Inertial>, Option<String>), Failure> {
-    let is_file = args.imu.as_deref().is_some_and(Path::is_file);
+    let is_path = args.imu.as_deref().is_some_and(Path::exists);
     if let Images::Video(video) = &raw.images
         && is_recording(&video.path)
-        && !is_file
+        && !is_path
     {
         let readings = Inertial::of_recording(args, &video.path, body_from_camera)?;
         return Ok(match readings {
