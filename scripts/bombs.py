@@ -226,8 +226,8 @@ def bmp_that_ends_at_once(folder):
 
 
 @bomb(*SEQUENCE)
-def bmp_of_jumps(folder):
-    return images(folder, bmp(3500, 3500, b"\0\2\xff\xff" * 100_000 + b"\0\1"), "bmp")
+def bmp_of_one_bit(folder):
+    return images(folder, bmp(2800, 2800, bytes(2800 * 352), bits=1, packing=0), "bmp")
 
 
 def rows_png(rows, width):
