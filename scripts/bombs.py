@@ -1483,7 +1483,7 @@ MASKS = ["check DIR/images --mask IN --fov 60", "run DIR/images --mask IN --fov 
 
 @bomb(*MASKS)
 def masks_of_plain(folder):
-    return masks(folder, png(3500, 3500), 70)
+    return masks(folder, png(3500, 3500), 40)
 
 
 @bomb(*MASKS)

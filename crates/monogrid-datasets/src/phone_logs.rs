@@ -83,43 +83,24 @@ impl Files {
             .file_name()
             .unwrap_or_default()
             .to_string_lossy()
-            .to_lowercase();
+            .to_ascii_lowercase();
         if !is_folder && named.contains("gyr") == named.contains("acc") {
             return Ok(None);
         }
-        let listed = match folder == Path::new("") {
-            true => Path::new(".").read_dir(),
-            false => folder.read_dir(),
-        };
-        let Ok(listed) = listed else {
-            return Ok(None);
-        };
-        let mut names: Vec<String> = listed
-            .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
-            .filter(|name| {
-                let name = name.to_lowercase();
-                name.ends_with(".csv") && !name.contains("uncalibrated")
-            })
-            .collect();
-        names.sort();
-        // what stands before the names of the sensors is that of the recording
-        let recording = |name: &str, sensor: &str| {
-            let at = name.to_lowercase().find(sensor)?;
-            Some(name[..at].to_owned())
-        };
-        let gyroscopes: Vec<(&String, String)> = names
+        let names = names_of_logs(folder);
+        let gyroscopes: Vec<(&String, &str)> = names
             .iter()
             .filter_map(|name| Some((name, recording(name, "gyro")?)))
             .filter(|(name, prefix)| {
                 is_folder
-                    || named == name.to_lowercase()
-                    || named.starts_with(&prefix.to_lowercase()) && named.contains("acc")
+                    || named == name.to_ascii_lowercase()
+                    || named.starts_with(&prefix.to_ascii_lowercase()) && named.contains("acc")
             })
             .collect();
         let of = |prefix: &str, sensor: &str| {
             let found = names
                 .iter()
-                .find(|name| recording(name, sensor).as_deref() == Some(prefix));
+                .find(|name| recording(name, sensor) == Some(prefix));
             found.map(|name| folder.join(name))
         };
         let mut all = gyroscopes.iter().filter_map(|(name, prefix)| {
@@ -178,6 +159,30 @@ impl Files {
         let is_standard = value("standardisation").is_some_and(|v| v.eq_ignore_ascii_case("true"));
         Ok(is_ios && !is_standard)
     }
+}
+
+/// Names of the files in a folder that may be logs, sorted.
+fn names_of_logs(folder: &Path) -> Vec<String> {
+    let listed = match folder == Path::new("") {
+        true => Path::new(".").read_dir(),
+        false => folder.read_dir(),
+    };
+    let entries = listed.into_iter().flatten();
+    let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
+    let mut names: Vec<String> = names
+        .filter(|name| {
+            let name = name.to_ascii_lowercase();
+            name.ends_with(".csv") && !name.contains("uncalibrated")
+        })
+        .collect();
+    names.sort();
+    names
+}
+
+/// What stands before the name of a sensor: that of the recording.
+fn recording<'a>(name: &'a str, sensor: &str) -> Option<&'a str> {
+    let at = name.to_ascii_lowercase().find(sensor)?;
+    name.get(..at)
 }
 
 /// Readings of one sensor, and the unit of their times. Columns are found by their names; without

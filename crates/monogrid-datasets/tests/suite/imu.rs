@@ -179,35 +179,38 @@ fn log(folder: &Path, name: &str, columns: &str, first_ns: i64, [x, y, z]: [f64;
         let row: Vec<String> = columns.split(',').map(value).collect();
         text += &(row.join(",") + "\n");
     }
-    fs::write(folder.join(name), text).unwrap();
+    fs::write(folder.join(name), text).expect("a file");
+}
+
+/// When the gyroscope begins, and what it reads.
+const START: i64 = 1_770_510_090_666_860_288;
+const RATE: [f64; 3] = [0.25, -0.5, 1.0];
+
+fn check_log(path: &Path, force: [f64; 3], said: &str) {
+    let found = ImuFile::read(path).expect("a log");
+    let text = &found.interpretation;
+    assert!(
+        text.contains(said) && text.contains("nanoseconds"),
+        "{text}"
+    );
+    // the accelerometer begins 5 ms later and ends as much later
+    assert_eq!(found.samples.len(), 19, "{text}");
+    assert_eq!(found.samples[0].timestamp_ns, START + 10_000_000);
+    for sample in &found.samples {
+        assert_eq!(sample.angular_velocity, Vec3::from(RATE));
+        assert!(
+            (sample.specific_force - Vec3::from(force)).norm() < 1e-9,
+            "{text}"
+        );
+    }
 }
 
 #[test]
 fn logs_of_phones_have_a_file_for_each_sensor() {
     const COLUMNS: &str = "time,seconds_elapsed,z,y,x";
-    let start = 1_770_510_090_666_860_288;
-    let rate = [0.25, -0.5, 1.0];
+    let (start, rate, later) = (START, RATE, START + 5_000_000);
     let device = "version,device name,platform,standardisation";
-    let check = |path: &Path, force: [f64; 3], said: &str| {
-        let found = ImuFile::read(path).unwrap();
-        let text = &found.interpretation;
-        assert!(
-            text.contains(said) && text.contains("nanoseconds"),
-            "{text}"
-        );
-        // the accelerometer begins 5 ms later and ends as much later
-        assert_eq!(found.samples.len(), 19, "{text}");
-        assert_eq!(found.samples[0].timestamp_ns, start + 10_000_000);
-        for sample in &found.samples {
-            assert_eq!(sample.angular_velocity, Vec3::from(rate));
-            assert!(
-                (sample.specific_force - Vec3::from(force)).norm() < 1e-9,
-                "{text}"
-            );
-        }
-    };
     let new = || tempfile::tempdir().unwrap();
-    let later = start + 5_000_000;
 
     // Sensor Logger on Android
     let folder = new();
@@ -223,8 +226,8 @@ fn logs_of_phones_have_a_file_for_each_sensor() {
         later,
         [0.0, 0.5, 10.0],
     );
-    check(at, [0.0, 0.5, 10.0], "TotalAcceleration.csv");
-    check(&at.join("Gyroscope.csv"), [0.0, 0.5, 10.0], "Gyroscope.csv");
+    check_log(at, [0.0, 0.5, 10.0], "TotalAcceleration.csv");
+    check_log(&at.join("Gyroscope.csv"), [0.0, 0.5, 10.0], "Gyroscope.csv");
 
     // and on iOS, where gravity is apart, and counted downwards unless it is told not to
     fs::remove_file(at.join("TotalAcceleration.csv")).unwrap();
@@ -233,23 +236,28 @@ fn logs_of_phones_have_a_file_for_each_sensor() {
     for (standard, sign) in [("false", -1.0), ("true", 1.0)] {
         let text = format!("{device}\n1,a phone,ios,{standard}\n");
         fs::write(at.join("Metadata.csv"), text).unwrap();
-        check(
+        check_log(
             at,
             [0.0, 0.0, 10.0 * sign],
             "Accelerometer.csv + Gravity.csv",
         );
     }
+}
 
+#[test]
+fn logs_beside_a_video_have_no_names_of_columns() {
+    let (start, rate, later) = (START, RATE, START + 5_000_000);
+    let new = || tempfile::tempdir().unwrap();
     // OpenCamera Sensors
     let folder = new();
     let at = folder.path();
     log(at, "VID_1gyro.csv", "", start, rate);
     log(at, "VID_1accel.csv", "", later, [0.0, 9.5, 0.0]);
-    check(at, [0.0, 9.5, 0.0], "VID_1accel.csv");
+    check_log(at, [0.0, 9.5, 0.0], "VID_1accel.csv");
     log(at, "VID_2gyro.csv", "", start, [0.0; 3]);
     log(at, "VID_2accel.csv", "", later, [9.5, 0.0, 0.0]);
-    check(&at.join("VID_1gyro.csv"), [0.0, 9.5, 0.0], "VID_1accel.csv");
-    check(&at.join("VID_1accel.csv"), [0.0, 9.5, 0.0], "VID_1gyro.csv");
+    check_log(&at.join("VID_1gyro.csv"), [0.0, 9.5, 0.0], "VID_1accel.csv");
+    check_log(&at.join("VID_1accel.csv"), [0.0, 9.5, 0.0], "VID_1gyro.csv");
     let error = ImuFile::read(at).unwrap_err().to_string();
     assert!(error.contains("several recordings"), "{error}");
     let error = ImuFile::read(new().path()).unwrap_err().to_string();
