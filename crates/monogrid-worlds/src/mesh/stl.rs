@@ -124,7 +124,7 @@ mod tests {
     fn binary_files_and_those_of_text_hold_the_same() {
         let corners = [[0.0, 0.0, 0.5], [1.0, 0.0, 0.5], [0.0, -1.5, 0.5]];
         let text = "solid x\n  facet normal 0 0 1\n    outer loop\n      vertex 0 0 5e-1\n      \
-                    vertex 1 0 .5\r\n      vertex 0 -1.5 0.5\n    endloop\n  endfacet\nendsolid x\n";
+                    vertex 1 0 .5\r\n      vertex 0 -1.5 0.5\n    endloop\n  endfacet\n";
         for bytes in [binary(&corners, 0), text.as_bytes().to_vec()] {
             let (mesh, left_out) = found(&bytes).unwrap();
             assert_eq!((mesh.vertices, left_out), (corners.to_vec(), 0));
