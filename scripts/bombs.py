@@ -207,6 +207,29 @@ def plain_tiff(folder):
     return images(folder, tiff(3500, 3500, 16), "tif")
 
 
+def bmp(width, height, data, bits=8, packing=1):
+    colours = bytes(4 * 256) if bits == 8 else bytes(8)
+    begin = 54 + len(colours)
+    header = struct.pack("<2sIII", b"BM", begin + len(data), 0, begin)
+    return header + struct.pack("<IiiHHIIiiII", 40, width, height, 1, bits, packing, len(data), 0, 0, 0, 0) + colours + data
+
+
+@bomb(*SEQUENCE)
+def bmp_of_runs(folder):
+    row = b"\xff\0" * (3500 // 255) + bytes([3500 % 255, 0]) + b"\0\0"
+    return images(folder, bmp(3500, 3500, row * 3500 + b"\0\1"), "bmp")
+
+
+@bomb(*SEQUENCE)
+def bmp_that_ends_at_once(folder):
+    return images(folder, bmp(3500, 3500, b"\0\1"), "bmp")
+
+
+@bomb(*SEQUENCE)
+def bmp_of_one_bit(folder):
+    return images(folder, bmp(2800, 2800, bytes(2800 * 352), bits=1, packing=0), "bmp")
+
+
 def rows_png(rows, width):
     """Of these rows, each a byte per pixel."""
     data = zlib.compress(b"".join(b"\0" + row for row in rows), 9)
@@ -1110,6 +1133,25 @@ def box(kind, *content):
     return struct.pack(">I", 8 + len(content)) + kind + content
 
 
+def gpmf(key, kind, size, data):
+    return key + kind + struct.pack(">BH", size, len(data) // max(size, 1)) + data + bytes(-len(data) % 4)
+
+
+def telemetry_track(packet_bytes, count, offset):
+    """A track of so many packets, all of them the same one."""
+    table = box(b"stbl",
+        box(b"stsd", struct.pack(">II", 0, 1), box(b"gpmd", bytes(8))),
+        box(b"stts", struct.pack(">IIII", 0, 1, count, 1)),
+        box(b"stsc", struct.pack(">IIIII", 0, 1, 1, 1, 1)),
+        box(b"stsz", struct.pack(">III", 0, packet_bytes, count)),
+        box(b"stco", struct.pack(">II", 0, count), struct.pack(">I", offset) * count))
+    media = box(b"mdia",
+        box(b"mdhd", struct.pack(">IIIIIHH", 0, 0, 0, 30, count, 0x55C4, 0)),
+        box(b"hdlr", struct.pack(">II", 0, 0), b"meta", bytes(12), b"\0"),
+        box(b"minf", table))
+    return box(b"trak", media)
+
+
 def mp4(columns, rows, count, references=1, claims=None, group=1, picture=lambda number: number, start=0, shown=None, colour="420"):
     """Of so many slices, `group` of them in a sample, each of the picture that is named; the last `shown` samples alone are shown."""
     sps, pps, first, again = h264(columns, rows, references, start, colour)
@@ -1252,6 +1294,19 @@ def mp4_of_boxes_in_boxes(folder):
     for _ in range(3000):
         content = box(b"moov", content)
     path.write_bytes(box(b"ftyp", b"isom\0\0\0\0isomavc1") + content)
+    return path
+
+
+@bomb("check IN --fov 60", "run IN --fov 60 --max-frames 3 --out OUT")
+def mp4_whose_telemetry_is_one_packet(folder):
+    path = folder / "a.mp4"
+    readings = [gpmf(key, b"s", 6, bytes(6 * 8000)) for key in (b"ACCL", b"GYRO")]
+    streams = [gpmf(b"STRM", b"\0", 1, gpmf(b"SCAL", b"s", 2, b"\0\1") + gpmf(b"ORIN", b"c", 1, b"XYZ") + reading) for reading in readings]
+    packet = box(b"free", gpmf(b"DEVC", b"\0", 1, streams[0]) + gpmf(b"DEVC", b"\0", 1, streams[1]))
+    film = mp4(20, 15, 40)
+    at = film.index(b"moov") - 4
+    movie = film[at + 8 :] + telemetry_track(len(packet) - 8, 200_000, at + 8)
+    path.write_bytes(film[:at] + packet + box(b"moov", movie))
     return path
 
 
@@ -1411,6 +1466,44 @@ def imu_of_years(folder):
     (folder / "mount.txt").write_text("0 0 0 0 0 0 1\n")
     path = folder / "imu.csv"
     path.write_text("".join(f"{n * n * 10**13},0.1,0,0,0,0,9\n" for n in range(300)))
+    return path
+
+
+def masks(folder, picture, count):
+    images(folder, png(64, 64), "png", 500)
+    masks = folder / "masks"
+    masks.mkdir()
+    for index in range(count):
+        (masks / f"{index:04}.png").write_bytes(picture)
+    return masks
+
+
+MASKS = ["check DIR/images --mask IN --fov 60", "run DIR/images --mask IN --fov 60 --out OUT"]
+
+
+@bomb(*MASKS)
+def masks_of_plain(folder):
+    return masks(folder, png(3500, 3500), 40)
+
+
+@bomb(*MASKS)
+def mask_of_plain(folder):
+    return masks(folder, png(3500, 3500), 1) / "0000.png"
+
+
+@bomb(*MASKS)
+def masks_in_a_video_that_stands_still(folder):
+    masks(folder, png(64, 64), 1)
+    path = folder / "masks.mp4"
+    path.write_bytes(mp4(144, 144, 30_000))
+    return path
+
+
+@bomb("check DIR/images --mask IN --fov 60")
+def mask_of_large_images(folder):
+    images(folder, png(3500, 3500), "png", 5)
+    path = folder / "mask.png"
+    path.write_bytes(rows_png([bytes(row) for row in ([0, 255] * 1750, [255, 0] * 1750)] * 1750, 3500))
     return path
 
 

@@ -178,14 +178,14 @@ pub struct SourceArgs {
     /// --profile fast]
     #[arg(long, value_name = "WxH", value_parser = size, help_heading = "Input")]
     pub size: Option<(usize, usize)>,
-    /// Image of the size of the input, black where pixels must be ignored; one for each frame where
-    /// this is a folder with images of the same names, or a video
+    /// Image, black where pixels must be ignored; one for each frame where this is a folder with
+    /// images of the same names, or a video
     #[arg(long, value_name = "PATH", help_heading = "Input")]
     pub mask: Option<PathBuf>,
-    /// Readings of an inertial sensor beside the camera, CSV, or a topic of the recording [default:
-    /// mav0/imu0/data.csv, imu0/data.csv, imu.csv or imu.txt in the source, the topic nearest to
-    /// that of the images; `none`: none]
-    #[arg(long, value_name = "FILE|TOPIC|none", help_heading = "Input")]
+    /// Readings of an inertial sensor beside the camera: CSV, the folder of a phone's log, or a
+    /// topic of the recording [default: mav0/imu0/data.csv, imu0/data.csv, imu.csv or imu.txt in
+    /// the source, the topic nearest to that of the images; `none`: none]
+    #[arg(long, value_name = "PATH|TOPIC|none", help_heading = "Input")]
     pub imu: Option<PathBuf>,
     /// How the camera is mounted on that sensor: tx ty tz qx qy qz qw or a 4x4 matrix, camera to
     /// sensor, metres [default: as the sensor.yaml of both say, or /tf_static of the recording]

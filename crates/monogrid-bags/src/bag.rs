@@ -1,11 +1,12 @@
 //! A recording as a whole: its topics, and the images of one of them.
 
-use crate::convert::{camera_of, gray_image, gray_of_compressed};
+use crate::convert::{camera_of, gray_image, gray_of_compressed, has_words, has_words_compressed};
 use crate::error::BagError;
 use crate::message::{Messages, Raw};
 use crate::part::{Format, Part, is_packed, parts_of};
-use crate::topic::{Family, Indexed, Topic, TopicKind};
+use crate::topic::{Family, Indexed, Topic, TopicKind, listed};
 use crate::{db3, foxglove, mcap, ros1};
+use monogrid_datasets::Levels;
 use monogrid_geometry::Camera;
 use monogrid_image::GrayImage;
 use monogrid_messages::RosMessage;
@@ -158,27 +159,18 @@ impl Bag {
         if let Some(found) = found {
             return Ok(found);
         }
-        let names = |topics: &[&Topic]| {
-            let names = topics
-                .iter()
-                .map(|t| format!("{} ({})", t.name, t.type_name));
-            names.collect::<Vec<_>>().join(", ")
-        };
         let reason = match name {
             _ if self.topics.is_empty() => "there are no messages".to_owned(),
-            _ if images.is_empty() => {
-                let all: Vec<&Topic> = self.topics.iter().collect();
-                format!(
-                    "there is no topic with images; there are {}; images are sensor_msgs/Image, \
-                     CompressedImage, foxglove.RawImage, CompressedImage or CompressedVideo",
-                    names(&all)
-                )
-            }
+            _ if images.is_empty() => format!(
+                "there is no topic with images; there are {}; images are sensor_msgs/Image, \
+                 CompressedImage, foxglove.RawImage, CompressedImage or CompressedVideo",
+                listed(&self.topics)
+            ),
             None => format!(
                 "images of which topic? say it with --topic NAME; there are {}",
-                names(&images)
+                listed(images)
             ),
-            Some(name) => format!("no images of {name}: there are {}", names(&images)),
+            Some(name) => format!("no images of {name}: there are {}", listed(images)),
         };
         Err(BagError::damaged(&self.path, reason))
     }
@@ -257,12 +249,47 @@ impl Bag {
             .transpose()
     }
 
-    /// All images of a topic, in the order of the recording.
+    /// What the first images of a topic use of their 16 bits; all of it where they have fewer.
+    #[must_use]
+    pub fn levels(&self, topic: &Topic) -> Levels {
+        let messages = self.messages_of_topic(topic).map_while(Result::ok);
+        let first = messages.take(Levels::NUM_IMAGES).map(|message| {
+            let Decoded { image, has_words } = decoded(&message, &self.path).ok()?.content;
+            image.ok().filter(|_| has_words)
+        });
+        match first.collect::<Option<Vec<_>>>() {
+            Some(images) => Levels::of_grey(images),
+            None => Levels::ALL,
+        }
+    }
+
+    /// All images of a topic, in the order of the recording, in their own [levels](Self::levels).
     #[must_use]
     pub fn images(&self, topic: &Topic) -> Images {
+        self.images_in(topic, self.levels(topic))
+    }
+
+    /// The same in these levels, where they have 16 bits.
+    #[must_use]
+    pub fn images_in(&self, topic: &Topic, levels: Levels) -> Images {
         let path = self.path.clone();
         let messages = self.messages_of_topic(topic);
-        let shown = move |message: Result<Raw, BagError>| decoded(&message?, &path);
+        let shown = move |message: Result<Raw, BagError>| {
+            let shown = decoded(&message?, &path)?;
+            let Decoded { image, has_words } = shown.content;
+            let is_part = has_words && levels != Levels::ALL;
+            Ok(Shown {
+                stamp_ns: shown.stamp_ns,
+                log_ns: shown.log_ns,
+                content: image.map(|image| {
+                    if is_part {
+                        levels.of_all(&image)
+                    } else {
+                        image
+                    }
+                }),
+            })
+        };
         Box::new(Timed::new(messages.map(shown)).map(|shown| {
             let (time_ns, image) = shown?;
             image.map(|image| (time_ns, image))
@@ -396,29 +423,41 @@ fn content<M: RosMessage>(message: &Raw, path: &Path) -> Result<M, BagError> {
     message.content().map_err(damaged)
 }
 
+/// An image of a message.
+struct Decoded {
+    image: Result<GrayImage, BagError>,
+    /// Whether its samples have 16 bits, of which nothing says how many are used.
+    has_words: bool,
+}
+
 /// The image of a message, and its times.
-fn decoded(message: &Raw, path: &Path) -> Result<Shown<Result<GrayImage, BagError>>, BagError> {
+fn decoded(message: &Raw, path: &Path) -> Result<Shown<Decoded>, BagError> {
     let topic = &message.topic;
     let damaged = |reason| BagError::damaged(path, format!("topic {}: {reason}", topic.name));
-    let (stamp, image) = if topic.kind == TopicKind::Image {
+    let (stamp, image, has_words) = if topic.kind == TopicKind::Image {
         let image: Image = match topic.family {
             Family::Ros => content(message, path)?,
             Family::Foxglove => foxglove::raw_image(message).map_err(damaged)?,
         };
-        (image.header.stamp, gray_image(&image))
+        let has_words = has_words(&image.encoding);
+        (image.header.stamp, gray_image(&image), has_words)
     } else {
         let image: CompressedImage = match topic.family {
             Family::Ros => content(message, path)?,
             Family::Foxglove => foxglove::compressed_image(message).map_err(damaged)?,
         };
-        (image.header.stamp, gray_of_compressed(&image))
+        let has_words = has_words_compressed(&image.data);
+        (image.header.stamp, gray_of_compressed(&image), has_words)
     };
     Ok(Shown {
         stamp_ns: stamp.nanoseconds(),
         log_ns: message.log_ns,
-        content: image.map_err(|source| BagError::Image {
-            topic: topic.name.clone(),
-            source,
-        }),
+        content: Decoded {
+            image: image.map_err(|source| BagError::Image {
+                topic: topic.name.clone(),
+                source,
+            }),
+            has_words,
+        },
     })
 }

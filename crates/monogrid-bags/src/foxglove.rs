@@ -286,15 +286,16 @@ impl Fields {
     fn bytes(&self, (number, name): Field) -> Result<Vec<u8>, String> {
         let found = match self {
             Self::Protobuf(bytes) => match Self::last(bytes, number)? {
+                None => Some(Vec::new()),
                 Some(Wired::Bytes(data)) => Some(data.to_vec()),
-                _ => None,
+                Some(_) => None,
             },
             Self::Json(value) => {
-                let text = value.get(name).and_then(Value::as_str);
+                let text = value.get(name).map_or(Some(""), Value::as_str);
                 text.and_then(|text| STANDARD.decode(text).ok())
             }
         };
-        found.ok_or_else(|| format!("{name} is not there, or is no base64"))
+        found.ok_or_else(|| format!("{name} is no bytes, or no base64"))
     }
 
     fn numbers(&self, (number, name): Field) -> Result<Vec<f64>, String> {

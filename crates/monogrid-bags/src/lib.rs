@@ -39,4 +39,4 @@ pub use bag::{Bag, Coded, Images, Packets, is_bag};
 pub use error::BagError;
 pub use inertial::Readings;
 pub use mcap::McapWriter;
-pub use topic::{Topic, TopicKind};
+pub use topic::{Topic, TopicKind, listed};

@@ -1,5 +1,7 @@
 //! What a topic is called and what it holds.
 
+use std::fmt;
+
 /// What a topic holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -82,6 +84,19 @@ impl Topic {
     pub(crate) fn is_depth(&self) -> bool {
         self.name.ends_with("/compressedDepth")
     }
+}
+
+impl fmt::Display for Topic {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "{} ({})", self.name, self.type_name)
+    }
+}
+
+/// Names and types of topics, for people.
+#[must_use]
+pub fn listed<'a>(topics: impl IntoIterator<Item = &'a Topic>) -> String {
+    let topics = topics.into_iter().map(Topic::to_string);
+    topics.collect::<Vec<_>>().join(", ")
 }
 
 /// A topic, and how many messages it has, where an index says it.

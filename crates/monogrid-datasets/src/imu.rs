@@ -1,9 +1,11 @@
 //! Inertial measurements: EuRoC's `imu0`, and the logs of phones.
 
 use crate::calibration::sensor_yaml;
+use crate::columns::{TimeUnit, bare, fields};
 use crate::files::is_file;
+use crate::phone_logs::PhoneLogs;
 use crate::text::{numbers, read_text};
-use crate::{DatasetError, parse_seconds, write_atomically};
+use crate::{DatasetError, write_atomically};
 use monogrid_geometry::median::median;
 use monogrid_geometry::{Se3, Vec3};
 use monogrid_inertial::{GRAVITY_M_S2, ImuNoise, ImuSample};
@@ -34,18 +36,42 @@ impl ImuFile {
     /// that of the accelerometer from gravity, which must be in it; gyroscopes are in rad/s unless
     /// a name says degrees.
     ///
+    /// A folder, or a file of one sensor beside that of the other, is a log of a phone: of Sensor
+    /// Logger or of OpenCamera Sensors.
+    ///
     /// # Errors
     /// When the file cannot be read, a line is not one of numbers, or the readings are not those of
     /// such a sensor.
     pub fn read(path: &Path) -> Result<Self, DatasetError> {
+        match PhoneLogs::read(path)? {
+            Some(logs) => Self::of_phone(path, &logs),
+            None => Self::of_table(path),
+        }
+    }
+
+    fn of_phone(path: &Path, logs: &PhoneLogs) -> Result<Self, DatasetError> {
+        let forces = logs.rows.iter().map(|(.., force)| force.norm());
+        let (to_force, unit) = force_unit(forces, path)?;
+        let sample = |(timestamp_ns, angular_velocity, force): &(i64, Vec3, Vec3)| ImuSample {
+            timestamp_ns: *timestamp_ns,
+            angular_velocity: *angular_velocity,
+            specific_force: force * to_force,
+        };
+        Ok(Self {
+            samples: logs.rows.iter().map(sample).collect(),
+            noise: None,
+            body_from_imu: None,
+            interpretation: format!("{}, accelerometer in {unit}", logs.interpretation),
+            path: path.to_path_buf(),
+        })
+    }
+
+    fn of_table(path: &Path) -> Result<Self, DatasetError> {
         let text = read_text(path)?;
         let columns = Columns::find(&text, path)?;
         let rows = rows(&text, path, &columns)?;
-        let time = TimeUnit::of(&rows, path)?;
-        let (to_force, force_unit) = match is_force_in_g(&rows, path)? {
-            true => (GRAVITY_M_S2, "g"),
-            false => (1.0, "m/s²"),
-        };
+        let time = TimeUnit::of(rows.iter().map(|row| row.time), path)?;
+        let (to_force, force_unit) = force_unit(rows.iter().map(|row| row.force.norm()), path)?;
         let (to_rate, rate_unit) = match columns.in_degrees {
             true => (1f64.to_radians(), "degrees per second"),
             false => (1.0, "rad/s"),
@@ -124,15 +150,6 @@ struct Columns {
     are_named: bool,
 }
 
-fn fields(line: &str) -> impl Iterator<Item = &str> {
-    let separator = match line.contains([',', ';']) {
-        true => [',', ';'],
-        false => [' ', '\t'],
-    };
-    let fields = line.split(separator).map(str::trim);
-    fields.filter(|field| !field.is_empty())
-}
-
 impl Columns {
     fn find(text: &str, path: &Path) -> Result<Self, DatasetError> {
         let mut lines = text.lines();
@@ -156,14 +173,6 @@ impl Columns {
     }
 
     fn named(names: &[String]) -> Option<Self> {
-        // `w_rs_s_x [rad s^-1]` is about x whatever its unit
-        let bare = |name: &str| {
-            name.split(['[', '('])
-                .next()
-                .unwrap_or("")
-                .trim()
-                .to_owned()
-        };
         let has = |name: &str, parts: &[&str]| parts.iter().any(|part| name.contains(part));
         let is_rate = |name: &str| {
             has(name, &["gyr", "angular", "rotation", "omega"])
@@ -222,62 +231,17 @@ fn rows<'a>(text: &'a str, path: &Path, columns: &Columns) -> Result<Vec<Row<'a>
     Ok(rows)
 }
 
-/// Unit of a time.
-struct TimeUnit {
-    name: &'static str,
-    nanoseconds: i64,
-}
-
-/// Units that are known.
-const TIME_UNITS: [TimeUnit; 4] = [
-    TimeUnit::new("seconds", 1_000_000_000),
-    TimeUnit::new("milliseconds", 1_000_000),
-    TimeUnit::new("microseconds", 1_000),
-    TimeUnit::new("nanoseconds", 1),
-];
-
-impl TimeUnit {
-    const fn new(name: &'static str, nanoseconds: i64) -> Self {
-        Self { name, nanoseconds }
-    }
-
-    /// The one in which sensors give 5 to 2000 readings per second.
-    fn of(rows: &[Row], path: &Path) -> Result<Self, DatasetError> {
-        let times = rows.iter().filter_map(|row| row.time.parse().ok());
-        let times: Vec<f64> = times.collect();
-        let intervals = times.windows(2).map(|pair| (pair[1] - pair[0]).abs());
-        let mut intervals: Vec<f64> = intervals.filter(|i| *i > 0.0).collect();
-        let median = median(&mut intervals).unwrap_or(0.0);
-        let fits = |unit: &Self| {
-            let per_second = (1_000_000_000 / unit.nanoseconds) as f64;
-            (0.0005..=0.2).contains(&(median / per_second))
-        };
-        TIME_UNITS.into_iter().find(fits).ok_or_else(|| {
-            let found = format!("a median of {median} between the times of readings");
-            let expected = "0.5 to 200 ms, in seconds, milliseconds, microseconds or nanoseconds";
-            DatasetError::content(path, found, expected)
-        })
-    }
-
-    fn nanoseconds(&self, text: &str) -> Option<i64> {
-        if self.name == "seconds" {
-            return parse_seconds(text);
-        }
-        if let Ok(whole) = text.parse::<i64>() {
-            return whole.checked_mul(self.nanoseconds);
-        }
-        let ns = text.parse::<f64>().ok()? * self.nanoseconds as f64;
-        (ns.abs() < 9e18).then_some(ns.round() as i64)
-    }
-}
-
-/// Whether forces are in units of gravity; the sensor feels gravity most of the time.
-fn is_force_in_g(rows: &[Row], path: &Path) -> Result<bool, DatasetError> {
-    let mut norms: Vec<f64> = rows.iter().map(|row| row.force.norm()).collect();
+/// What makes forces of these amounts m/s², and their unit: the sensor feels gravity most of the
+/// time.
+fn force_unit(
+    norms: impl Iterator<Item = f64>,
+    path: &Path,
+) -> Result<(f64, &'static str), DatasetError> {
+    let mut norms: Vec<f64> = norms.collect();
     let median = median(&mut norms).unwrap_or(0.0);
     match median {
-        0.7..=1.4 => Ok(true),
-        6.5..=14.0 => Ok(false),
+        0.7..=1.4 => Ok((GRAVITY_M_S2, "g")),
+        6.5..=14.0 => Ok((1.0, "m/s²")),
         _ => {
             let found = format!("a median of {median:.3} of the accelerometer's readings");
             let expected =

@@ -78,17 +78,25 @@ fn parse(
         return parse_kitti(text, &times, path);
     }
     let unit = TimeUnit::of(data_lines(text).map(|(_, line)| first_word(line).0));
+    let is_w_first = is_w_first(text).unwrap_or_else(|| {
+        let has_commas = |(_, line): (usize, &str)| line.contains(',');
+        unit == TimeUnit::Nanoseconds && data_lines(text).next().is_some_and(has_commas)
+    });
     let mut poses = Vec::new();
     for (at, (number, line)) in data_lines(text).enumerate() {
         if at == 0 && are_column_names(line) {
             continue;
         }
         let position = || parse_position(line, unit).filter(|_| are_positions_enough);
-        poses.push(parse_line(line, unit).or_else(position).ok_or_else(|| {
-            let expected = "timestamp tx ty tz qx qy qz qw with a unit quaternion, EuRoC's \
+        poses.push(
+            parse_line(line, unit, is_w_first)
+                .or_else(position)
+                .ok_or_else(|| {
+                    let expected = "timestamp tx ty tz qx qy qz qw with a unit quaternion, EuRoC's \
                             nanoseconds,x,y,z,qw,qx,qy,qz, or 12 numbers of KITTI's matrices";
-            DatasetError::line(path, number, line, expected)
-        })?);
+                    DatasetError::line(path, number, line, expected)
+                })?,
+        );
     }
     if poses.is_empty() {
         let expected = "lines of `timestamp tx ty tz qx qy qz qw`";
@@ -143,18 +151,34 @@ pub(crate) fn pose_from_matrix(values: &[f64]) -> Option<Se3> {
     pose.is_finite().then_some(pose)
 }
 
-/// A line of TUM's format (behind the pose may be the 12 covariances of OpenVINS) or, with commas,
-/// of EuRoC's.
-fn parse_line(line: &str, unit: TimeUnit) -> Option<TimedPose> {
+/// Whether quaternions begin with w, by the names of the columns in the first line: EuRoC's do, and
+/// those of others, with commas too, have it last. `None` where nothing names them.
+fn is_w_first(text: &str) -> Option<bool> {
+    let first = text.lines().find(|line| !line.trim().is_empty())?;
+    let names = first
+        .trim_start_matches(['\u{feff}', '#', ' '])
+        .to_lowercase();
+    let names = names.split(|c: char| matches!(c, ',' | ';') || c.is_whitespace());
+    let quaternion = names.filter(|name| name.starts_with('q') || name.contains("orientation"));
+    let ends: Vec<Option<char>> = quaternion.map(|name| name.chars().last()).collect();
+    let place = |axis: char| ends.iter().position(|end| *end == Some(axis));
+    Some(place('w')? < place('x')?)
+}
+
+/// A line of TUM's format (behind the pose may be the 12 covariances of OpenVINS) or, with the w of
+/// quaternions before x, of EuRoC's; with commas there may be anything behind.
+fn parse_line(line: &str, unit: TimeUnit, is_w_first: bool) -> Option<TimedPose> {
     let (time, rest) = first_word(line);
     let values = numbers(rest)?;
     let &[x, y, z, a, b, c, d, ..] = values.as_slice() else {
         return None;
     };
-    let pose = match line.contains(',') {
+    if !line.contains(',') && !matches!(values.len(), 7 | 19) {
+        return None;
+    }
+    let pose = match is_w_first {
         true => [x, y, z, b, c, d, a],
-        false if matches!(values.len(), 7 | 19) => [x, y, z, a, b, c, d],
-        false => return None,
+        false => [x, y, z, a, b, c, d],
     };
     Some(TimedPose {
         timestamp_ns: unit.parse(time)?,

@@ -10,7 +10,7 @@ use monogrid_image::{GrayImage, Image, Mask, Photometric, Undistorter, WorkingSi
 pub struct Preparation {
     camera: Camera,
     size: WorkingSize,
-    /// The user's mask, of the size of the images.
+    /// What of the images may be used, of their size.
     mask: Option<Mask>,
     undistorter: Undistorter,
     photometric: Photometric,
@@ -133,6 +133,14 @@ impl Preparation {
     /// An image of another size than the camera's.
     pub fn apply_rgb(&self, image: &Image<[u8; 3]>) -> Result<Image<[u8; 3]>, Unusable> {
         each_channel(image, |channel| self.undistort(channel))
+    }
+
+    /// Pixels of the working image that show nothing of what a mask of the camera's images names;
+    /// `None` where it has another size.
+    #[must_use]
+    pub fn apply_mask(&self, mask: &Mask) -> Option<Mask> {
+        let used = self.undistorter.apply(&mask.map(f32::from))?;
+        Some(used.map(|used| if used < 254.5 { 0 } else { 255 }))
     }
 
     fn undistort(&self, image: &GrayImage) -> Result<GrayImage, Unusable> {

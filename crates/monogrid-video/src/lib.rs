@@ -170,8 +170,9 @@ impl Source {
 
     /// A topic of a recording.
     fn start_recording(&self, topic: Option<&str>) -> Result<Started, VideoError> {
-        let (opened, camera) = recording::open(&self.path, &self.name, topic)?;
-        let mut started = Started::new(&self.name, opened)?;
+        let (opened, camera, topics) = recording::open(&self.path, &self.name, topic)?;
+        let started = Started::new(&self.name, opened);
+        let mut started = started.map_err(|error| topics.without_image(&self.name, error))?;
         started.begun.recorded = camera;
         Ok(started)
     }

@@ -4,7 +4,7 @@ use crate::frame::VideoFrame;
 use crate::h264::PacketFrames;
 use crate::opened::{Opened, stored_bytes};
 use crate::{Colour, VideoError};
-use monogrid_bags::{Bag, BagError, TopicKind};
+use monogrid_bags::{Bag, BagError, TopicKind, listed};
 use monogrid_datasets::PixelBudget;
 use monogrid_geometry::Camera;
 use monogrid_image::{GrayImage, to_gray8};
@@ -14,24 +14,52 @@ use std::path::Path;
 /// given in its place.
 pub type Recorded = Result<Option<Camera>, BagError>;
 
+/// The topic that is read, and all that there are, for people.
+pub(crate) struct Topics {
+    read: String,
+    all: String,
+}
+
+impl Topics {
+    /// Why there is no image, and what else there is.
+    pub(crate) fn without_image(&self, name: &str, error: VideoError) -> VideoError {
+        let reason = match error {
+            VideoError::Frame { reason, .. } => reason,
+            VideoError::Content { found, .. } => found,
+            VideoError::Recording(error @ BagError::Damaged { .. }) => error.to_string(),
+            error => return error,
+        };
+        let Self { read, all } = self;
+        let found = format!("no image that can be read on {read}: {reason}; there are {all}");
+        let expected = "images, or video that is coded as h264; another topic: --topic NAME";
+        VideoError::content(name, "recording", found, expected)
+    }
+}
+
 /// Opens a topic of a recording, or the only one with images; with the camera that the recording
 /// says.
 pub(crate) fn open(
     path: &Path,
     name: &str,
     topic: Option<&str>,
-) -> Result<(Opened, Recorded), VideoError> {
+) -> Result<(Opened, Recorded, Topics), VideoError> {
     let bag = Bag::open(path)?;
     let topic = bag.image_topic(topic)?;
+    let topics = Topics {
+        read: topic.to_string(),
+        all: listed(bag.topics()),
+    };
     // another calibration may take its place
     let camera = bag.camera_of(topic);
     let description = format!("recording, topic {}", topic.name);
     if topic.kind == TopicKind::CompressedVideo {
         let budget = stored_bytes(path).map(|bytes| PixelBudget::of_source(path, bytes));
         let frames = PacketFrames::new(name, bag.packets(topic), budget);
-        return Ok((Opened::new(description, Box::new(frames)), camera));
+        let opened = Opened::new(description, Box::new(frames));
+        return Ok((opened, camera, topics));
     }
-    let images = bag.images(topic);
+    let levels = bag.levels(topic);
+    let images = bag.images_in(topic, levels);
     let name = name.to_owned();
     let frame = move |(frame, image): (usize, Result<(i64, GrayImage), BagError>)| match image {
         Ok((timestamp_ns, image)) => Ok(VideoFrame {
@@ -44,6 +72,7 @@ pub(crate) fn open(
         }
         Err(error) => Err(error.into()),
     };
-    let opened = Opened::new(description, Box::new(images.enumerate().map(frame)));
-    Ok((opened, camera))
+    let mut opened = Opened::new(description, Box::new(images.enumerate().map(frame)));
+    opened.notes.extend(levels.note());
+    Ok((opened, camera, topics))
 }

@@ -229,6 +229,7 @@ fn given_as_shown(
             1.96 * shown.sigma[1]
         ),
         is_assumed: false,
+        focal_sigma: Some(shown.sigma[0]),
         warnings: Vec::new(),
     })
 }

@@ -110,6 +110,8 @@ pub struct OwnCalibration {
     pub interpretation: String,
     /// Whether its focal length is assumed, because nothing shows it.
     pub is_assumed: bool,
+    /// Standard deviation of the logarithm of the focal length, where images or map show it.
+    pub focal_sigma: Option<f64>,
     /// What to know about it, in sentences.
     pub warnings: Vec<String>,
 }
@@ -129,6 +131,7 @@ impl OwnCalibration {
                 "pinhole with the horizontal field of view that was given, {fov_deg} degrees"
             ),
             is_assumed: false,
+            focal_sigma: None,
             warnings: Vec::new(),
         })
     }
@@ -203,6 +206,7 @@ impl OwnCalibration {
                  side"
             ),
             is_assumed: true,
+            focal_sigma: None,
             warnings: vec![format!(
                 "the motion of the camera does not show its focal length (uncertain by \
                  {percent:.0} %): {fov_deg:.0} degrees are taken, {source}, unless the map of a \
@@ -243,6 +247,7 @@ impl OwnCalibration {
                 centre.x, centre.y, estimate.num_windows, estimate.num_given
             ),
             is_assumed: false,
+            focal_sigma: Some(estimate.sigma[0]),
             warnings: Vec::new(),
         })
     }
@@ -370,6 +375,7 @@ mod tests {
         let certain = OwnCalibration::from_estimate(&shown, (640, 480), &ordinary).unwrap();
         assert!(certain.warnings.is_empty());
         assert!((certain.camera.pinhole.fx - 500.0).abs() < 1e-9);
+        assert_eq!(certain.focal_sigma, Some(0.02));
         let (name, text) = certain.file();
         assert_eq!(name, "calibration.txt");
         assert!(
@@ -380,6 +386,7 @@ mod tests {
         let assumed = OwnCalibration::from_estimate(&shown, (640, 480), &ordinary).unwrap();
         assert!((assumed.camera.horizontal_fov_deg() - 62.0).abs() < 0.2);
         assert!(assumed.warnings[0].contains("--fov DEG"), "{assumed:?}");
+        assert!(assumed.is_assumed && assumed.focal_sigma.is_none());
         let wide = Expected {
             fov_deg: 80.0,
             focal_sigma: Some(0.1),

@@ -1,5 +1,6 @@
 //! What says how far the pixels of frames are: depth images, or the images of a second camera.
 
+use crate::input::frame_masks::FrameMasks;
 use crate::input::{Images, Input};
 use crate::process::failure::{Classify, Failure};
 use monogrid_datasets::{
@@ -7,9 +8,10 @@ use monogrid_datasets::{
 };
 use monogrid_geometry::{Camera, Se3};
 use monogrid_image::{GrayImage, Undistorter};
-use monogrid_pipeline::{SourceFrame, Unusable};
+use monogrid_pipeline::{Preparation, SourceFrame, Unusable};
 use monogrid_slam::DepthInput;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Depth images or second images of frames: those of all that have one, or of the first alone.
 #[derive(Clone, Debug)]
@@ -17,6 +19,9 @@ pub struct FrameDepths {
     /// Numbers of the frames, ascending, and the images.
     files: Vec<(usize, PathBuf)>,
     reader: Reader,
+    /// What must not be seen of each frame.
+    masks: Option<Arc<FrameMasks>>,
+    preparation: Preparation,
 }
 
 /// How an image is brought into the camera of the working images.
@@ -74,14 +79,21 @@ impl Reader {
 
 impl FrameDepths {
     /// Of these images; an error if the first cannot be used, `None` if there is none.
-    fn new(files: Vec<(usize, PathBuf)>, reader: Reader) -> Result<Option<Self>, Failure> {
-        match files.first() {
-            Some((_, path)) => {
-                reader.read(path)?;
-                Ok(Some(Self { files, reader }))
-            }
-            None => Ok(None),
-        }
+    fn new(
+        input: &Input,
+        files: Vec<(usize, PathBuf)>,
+        reader: Reader,
+    ) -> Result<Option<Self>, Failure> {
+        let Some((_, path)) = files.first() else {
+            return Ok(None);
+        };
+        reader.read(path)?;
+        Ok(Some(Self {
+            files,
+            reader,
+            masks: input.reading.masks.clone(),
+            preparation: input.preparation.clone(),
+        }))
     }
 
     /// The image of a file, for the first frame to use.
@@ -92,7 +104,7 @@ impl FrameDepths {
     ) -> Result<Option<Self>, Failure> {
         let first = input.frames.first().map_or(0, |frame| frame.index);
         let reader = Reader::depth(input, calibration);
-        Self::new(vec![(first, path.to_owned())], reader)
+        Self::new(input, vec![(first, path.to_owned())], reader)
     }
 
     /// Those that a data set has for frames to use: at most so many.
@@ -110,7 +122,7 @@ impl FrameDepths {
         };
         let files = input.frames.iter().filter_map(file).take(at_most).collect();
         let calibration = depth_calibration(dataset, calibration, input.camera())?;
-        Self::new(files, Reader::depth(input, calibration))
+        Self::new(input, files, Reader::depth(input, calibration))
     }
 
     /// The images of the second camera of a stereo pair that a data set has for frames to use, with
@@ -134,7 +146,7 @@ impl FrameDepths {
             undistorter: Undistorter::onto(&second.camera, *input.pinhole(), input.size()),
             second_from_first: second.second_from_first,
         };
-        Self::new(files, reader)
+        Self::new(input, files, reader)
     }
 
     /// How many there are.
@@ -154,9 +166,33 @@ impl FrameDepths {
             .binary_search_by_key(&frame.index, |(index, _)| *index);
         let depth = found.ok().map(|at| {
             let depth = self.reader.read(&self.files[at].1);
+            let depth = depth.map(|depth| self.without_masked(frame.index, depth));
             depth.map_err(|failure| Unusable::Unreadable(failure.into_error().to_string()))
         });
         SourceFrame { depth, ..frame }
+    }
+
+    /// What was measured where the mask of the frame allows it; what is compared with a second
+    /// image has no texture elsewhere.
+    fn without_masked(&self, frame: usize, depth: DepthInput) -> DepthInput {
+        let camera = self.preparation.camera();
+        let size = (camera.width, camera.height);
+        let mask = self
+            .masks
+            .as_ref()
+            .and_then(|masks| masks.of_size(frame, size));
+        let used = mask.and_then(|mask| self.preparation.apply_mask(&mask));
+        match (depth, used) {
+            (DepthInput::Measured(mut depth), Some(used)) if used.same_size(&depth) => {
+                for (depth, used) in depth.as_mut_slice().iter_mut().zip(used.as_slice()) {
+                    if *used == 0 {
+                        *depth = f32::NAN;
+                    }
+                }
+                DepthInput::Measured(depth)
+            }
+            (depth, _) => depth,
+        }
     }
 }
 
@@ -192,6 +228,60 @@ pub fn depth_calibration(
         None => {
             let own = dataset.depth_calibration().bad_input()?;
             Ok(own.unwrap_or_else(|| dataset.registered_depth(*colour)))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::args::SourceArgs;
+    use monogrid_datasets::{encode_png, encode_png_16};
+    use monogrid_image::{Image, Mask, WorkingSize};
+    use std::fs;
+
+    #[test]
+    fn what_a_mask_names_has_no_depth() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let write = |name: &str, bytes: &[u8]| fs::write(at(name), bytes).unwrap();
+        for name in ["rgb", "depth"] {
+            fs::create_dir(at(name)).unwrap();
+        }
+        let image = Image::from_fn(80, 60, |x, y| (3 * x + y) as u8);
+        write("rgb/0.png", &encode_png(&image));
+        write("depth/0.png", &encode_png_16(&Image::filled(80, 60, 2000)));
+        write("rgb.txt", b"0 rgb/0.png\n");
+        write("depth.txt", b"0 depth/0.png\n");
+        write("calibration.txt", b"60 60 39.5 29.5 80 60\n");
+        let mask = Mask::from_fn(40, 30, |x, _| if x < 10 { 0 } else { 255 });
+        write("mask.png", &encode_png(&mask));
+        let depth = |mask: Option<PathBuf>| {
+            let args = SourceArgs {
+                mask,
+                ..SourceArgs::default()
+            };
+            let input = Input::open(folder.path(), &args, WorkingSize::AUTOMATIC).unwrap();
+            let depths = FrameDepths::of_dataset(&input, None, 1).unwrap().unwrap();
+            let frame = input.source(None).next().unwrap();
+            match depths.with_depth(frame).depth.unwrap().unwrap() {
+                DepthInput::Measured(depth) => depth,
+                DepthInput::SecondImage { .. } => panic!("one camera"),
+            }
+        };
+        let free = depth(None);
+        let masked = depth(Some(at("mask.png")));
+        assert!((free.at(5, 30) - free.at(60, 30)).abs() < 1e-6);
+        for (x, y) in (0..80).flat_map(|x| (0..60).map(move |y| (x, y))) {
+            let (found, expected) = (masked.at(x, y), free.at(x, y));
+            assert!(
+                if x < 20 {
+                    found.is_nan()
+                } else {
+                    found == expected
+                },
+                "{x} {y}"
+            );
         }
     }
 }

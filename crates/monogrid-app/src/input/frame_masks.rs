@@ -1,5 +1,5 @@
-//! A mask for each frame: what is black in it (people, the robot's own body) is made plain in the
-//! image before anybody looks at it.
+//! A mask for all frames, or one for each: what is black in it (people, the robot's own body) is
+//! made plain in the image before anybody looks at it.
 
 use crate::args::SourceArgs;
 use crate::input::image_files::spend;
@@ -8,6 +8,7 @@ use crate::process::failure::{Classify, Failure};
 use monogrid_datasets::{Dataset, FrameEntry, PixelBudget, SourceOptions, read_mask};
 use monogrid_image::{GrayImage, Image, Mask, Resize, fill_masked, resize_mask};
 use monogrid_pipeline::Unusable;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::iter::Peekable;
 use std::path::{Path, PathBuf};
@@ -29,6 +30,8 @@ pub struct FrameMasks {
 
 #[derive(Debug)]
 enum Origin {
+    /// One for all frames.
+    One(Mask),
     /// Files by the number of their frame, and what they are in.
     Files(Box<Dataset>, BTreeMap<usize, PathBuf>),
     /// A video: of each frame that of the same number.
@@ -36,18 +39,18 @@ enum Origin {
 }
 
 impl FrameMasks {
-    /// Those of `--mask`, where it is a folder, an archive or a video; none where it is one image
-    /// for all frames; `files` are those of the frames, where they are files.
+    /// What `--mask` names: an image, a folder, an archive or a video; `files` are those of the
+    /// frames, where they are files.
     pub fn open(args: &SourceArgs, files: Option<&[FrameEntry]>) -> Result<Option<Self>, Failure> {
         let Some(path) = args.mask.as_deref() else {
             return Ok(None);
         };
         let ending = path.extension().unwrap_or_default().to_string_lossy();
-        let is_image = IMAGES.contains(&&*ending.to_lowercase()) || read_mask(path).is_ok();
-        if !path.exists() || path.is_file() && is_image {
-            return Ok(None);
-        }
-        let origin = if is_video(path) {
+        let is_named_so = IMAGES.contains(&&*ending.to_lowercase());
+        let image = || read_mask(path);
+        let origin = if !path.exists() || path.is_file() && (is_named_so || image().is_ok()) {
+            Origin::One(image().bad_input()?)
+        } else if is_video(path) {
             let whole = SourceArgs {
                 source_timeout: args.source_timeout,
                 ..SourceArgs::default()
@@ -68,8 +71,24 @@ impl FrameMasks {
     }
 
     /// Whether that of any frame can be asked for.
-    pub fn are_files(&self) -> bool {
-        matches!(self.origin, Origin::Files(..))
+    pub fn is_any_known(&self) -> bool {
+        !matches!(self.origin, Origin::Video(_))
+    }
+
+    /// An error if it is one for all frames, and not of images of this size or all of it is black.
+    pub fn check(&self, size: (usize, usize)) -> Result<(), Failure> {
+        let Origin::One(mask) = &self.origin else {
+            return Ok(());
+        };
+        if mask.as_slice().iter().all(|used| *used == 0) {
+            return Err(Failure::input(
+                "--mask: all of it is black, which leaves nothing of the images; what may be used \
+                 is white",
+            ));
+        }
+        mask_at(mask, size)
+            .map(|_| ())
+            .map_err(|reason| Failure::input(format!("--mask: {reason}")))
     }
 
     /// These frames, in ascending order, without what their masks name.
@@ -78,6 +97,7 @@ impl FrameMasks {
         items: Box<dyn Iterator<Item = VideoItem> + Send + 'a>,
     ) -> Box<dyn Iterator<Item = VideoItem> + Send + 'a> {
         let mut masks = match &self.origin {
+            Origin::One(mask) => InOrder::One(mask),
             Origin::Files(dataset, files) => InOrder::Files(files, dataset.pixel_budget()),
             Origin::Video(video) => InOrder::Video(video.frames(None).peekable()),
         };
@@ -100,12 +120,29 @@ impl FrameMasks {
         }))
     }
 
-    /// The image of a frame without what its mask names, if the masks are files.
+    /// The mask of a frame, if it has one; `None` where they are a video.
+    fn of(&self, frame: usize) -> Result<Option<Cow<'_, Mask>>, Unusable> {
+        match &self.origin {
+            Origin::One(mask) => Ok(Some(Cow::Borrowed(mask))),
+            Origin::Files(_, files) => {
+                let mask = files.get(&frame).map(|path| read(path)).transpose()?;
+                Ok(mask.map(Cow::Owned))
+            }
+            Origin::Video(_) => Ok(None),
+        }
+    }
+
+    /// The mask of a frame for images of this size, if it has one; `None` where they are a video,
+    /// or this one cannot be used.
+    pub fn of_size(&self, frame: usize, size: (usize, usize)) -> Option<Mask> {
+        let mask = self.of(frame).ok()??;
+        mask_at(&mask, size).ok().map(Cow::into_owned)
+    }
+
+    /// The image of a frame without what its mask names, unless the masks are a video.
     pub fn apply_to(&self, frame: usize, mut image: GrayImage) -> Result<GrayImage, Unusable> {
-        if let Origin::Files(_, files) = &self.origin
-            && let Some(path) = files.get(&frame)
-        {
-            apply(&mut image, &read(path)?)?;
+        if let Some(mask) = self.of(frame)? {
+            apply(&mut image, &mask)?;
         }
         Ok(image)
     }
@@ -113,13 +150,12 @@ impl FrameMasks {
     /// An image in colour without what the mask of its frame names; `None` where the masks are a
     /// video, or this one cannot be read.
     pub fn apply_to_rgb(&self, frame: usize, image: &Image<[u8; 3]>) -> Option<Image<[u8; 3]>> {
-        let Origin::Files(_, files) = &self.origin else {
+        if !self.is_any_known() {
             return None;
-        };
-        let Some(path) = files.get(&frame) else {
+        }
+        let Some(mask) = self.of(frame).ok()? else {
             return Some(image.clone());
         };
-        let mask = read(path).ok()?;
         let mut channels = [0, 1, 2].map(|c| image.map(|pixel| f32::from(pixel[c])));
         for channel in &mut channels {
             apply(channel, &mask).ok()?;
@@ -138,26 +174,29 @@ impl FrameMasks {
 
 /// Masks as a reading of the source needs them.
 enum InOrder<'a> {
+    One(&'a Mask),
     Files(&'a BTreeMap<usize, PathBuf>, PixelBudget),
     Video(Peekable<Box<dyn Iterator<Item = VideoItem> + Send + 'a>>),
 }
 
 impl InOrder<'_> {
-    fn of(&mut self, frame: usize) -> Result<Option<Mask>, Unusable> {
+    fn of(&mut self, frame: usize) -> Result<Option<Cow<'_, Mask>>, Unusable> {
         match self {
+            Self::One(mask) => Ok(Some(Cow::Borrowed(mask))),
             Self::Files(files, budget) => {
                 let mask = files.get(&frame).map(|path| read(path)).transpose()?;
                 if let Some(mask) = &mask {
                     spend(budget, (mask.width(), mask.height()))?;
                 }
-                Ok(mask)
+                Ok(mask.map(Cow::Owned))
             }
             Self::Video(masks) => {
                 while masks.next_if(|(index, ..)| *index < frame).is_some() {}
                 let Some((_, _, mask)) = masks.next_if(|(index, ..)| *index == frame) else {
                     return Ok(None);
                 };
-                Ok(Some(mask?.map(|v| if v < 128.0 { 0 } else { 255 })))
+                let mask = mask?.map(|v| if v < 128.0 { 0 } else { 255 });
+                Ok(Some(Cow::Owned(mask)))
             }
         }
     }
@@ -168,23 +207,27 @@ fn read(path: &Path) -> Result<Mask, Unusable> {
     read_mask(path).map_err(|error| Unusable::Unreadable(error.to_string()))
 }
 
-/// Masks of another size with the same ratio of sides are brought to that of the image.
 fn apply(image: &mut GrayImage, mask: &Mask) -> Result<(), Unusable> {
-    let (width, height) = (image.width(), image.height());
+    let mask = mask_at(mask, (image.width(), image.height()));
+    fill_masked(image, &*mask.map_err(Unusable::Unreadable)?);
+    Ok(())
+}
+
+/// A mask of another size with the same ratio of sides is brought to that of the images.
+fn mask_at(mask: &Mask, (width, height): (usize, usize)) -> Result<Cow<'_, Mask>, String> {
     let ratio = (mask.width() * height) as f64 / (mask.height() * width) as f64;
     if (ratio - 1.0).abs() > MAX_ASPECT_CHANGE {
-        return Err(Unusable::Unreadable(format!(
-            "its mask is {}x{} pixels, the image is {width}x{height}",
+        return Err(format!(
+            "the mask is {}x{} pixels, the image is {width}x{height}; expected that size, or \
+             another with the same ratio of sides",
             mask.width(),
             mask.height()
-        )));
+        ));
     }
-    if mask.same_size(image) {
-        fill_masked(image, mask);
-    } else {
-        fill_masked(image, &resize_mask(mask, Resize { width, height }));
+    if (mask.width(), mask.height()) == (width, height) {
+        return Ok(Cow::Borrowed(mask));
     }
-    Ok(())
+    Ok(Cow::Owned(resize_mask(mask, Resize { width, height })))
 }
 
 /// Masks by the names of the images: `NAME.png` or `NAME.jpg.png` is that of `NAME.jpg`. Where no

@@ -20,7 +20,7 @@ use crate::process::failure::{Classify, Failure};
 use crate::process::interrupt::is_interrupted;
 use monogrid_calibration::CameraMotion;
 use monogrid_datasets::{
-    Calibration, Dataset, FixedPart, FrameEntry, Levels, SourceOptions, read_gray_in, read_mask,
+    Calibration, Dataset, FixedPart, FrameEntry, Levels, SourceOptions, read_gray_in,
     read_photometric,
 };
 use monogrid_geometry::{Camera, Pinhole, ReadoutDirection, Se3};
@@ -201,11 +201,10 @@ impl RawInput {
         if let Images::Video(video) = &self.images {
             return Ok((video.size, video.direction));
         }
-        let first = match &self.images {
-            Images::Files(dataset) => first_image(&self.frames, &self.reading, dataset)?,
+        let size = match &self.images {
+            Images::Files(dataset) => usual_size(&self.frames, &self.reading, dataset)?,
             _ => return Err(Failure::input("the source has no frames")),
         };
-        let size = (first.width(), first.height());
         Ok((size, ReadoutDirection::of_size(size)))
     }
 
@@ -351,8 +350,10 @@ impl Input {
                 read_photometric(dataset.response_path.as_deref(), vignette).bad_input()
             },
         )?;
-        let camera = (&known, raw.reading.masks.is_some());
-        let preparation = preparation(camera, (args, usual, fixed.as_ref()), photometric)?;
+        if let Some(masks) = &raw.reading.masks {
+            masks.check(size)?;
+        }
+        let preparation = preparation(&known, (args, usual, fixed.as_ref()), photometric)?;
         let (inertial, no_readings) = readings(&raw, args, known.body_from_camera)?;
         let mut warnings = match &raw.images {
             Images::Files(dataset) => dataset.warnings.clone(),
@@ -607,15 +608,20 @@ fn chosen<T: Clone>(frames: &[T], args: &SourceArgs) -> Vec<T> {
     frames_from_start.take(at_most).cloned().collect()
 }
 
-/// The first image that can be decoded, for the size.
-fn first_image(
+/// Images of one size that make it that of the source, where none of another came before them.
+const ALIKE: usize = 3;
+
+/// Width and height of most of the first images that can be decoded; of equally many, those of the
+/// earlier ones.
+fn usual_size(
     frames: &[FrameEntry],
     reading: &Reading,
     dataset: &Dataset,
-) -> Result<GrayImage, Failure> {
+) -> Result<(usize, usize), Failure> {
     let cpu_ns = AtomicU64::new(0);
     let tried = frames.len().min(MAX_UNREADABLE_IN_A_ROW);
     let mut first_error = None;
+    let mut sizes: Vec<((usize, usize), usize)> = Vec::new();
     let files = (
         frames[..tried].to_vec(),
         reading.levels,
@@ -623,12 +629,28 @@ fn first_image(
     );
     for (.., image) in read_files(files, reading.patience, &cpu_ns) {
         match image {
-            Ok(image) => return Ok(image),
-            Err(Unusable::BrokeOff(reason)) => return Err(Failure::running(reason)),
+            Ok(image) => {
+                let size = (image.width(), image.height());
+                match sizes.iter_mut().find(|(known, _)| *known == size) {
+                    Some((_, count)) => *count += 1,
+                    None => sizes.push((size, 1)),
+                }
+                if matches!(*sizes, [(_, ALIKE)]) {
+                    break;
+                }
+            }
+            Err(Unusable::BrokeOff(reason)) if sizes.is_empty() => {
+                return Err(Failure::running(reason));
+            }
+            Err(Unusable::BrokeOff(_)) => break,
             Err(error) => {
                 first_error.get_or_insert(error);
             }
         }
+    }
+    // the last of equal ones, from behind
+    if let Some((size, _)) = sizes.iter().rev().max_by_key(|(_, count)| *count) {
+        return Ok(*size);
     }
     if is_interrupted() {
         return Err(Failure::Interrupted);
@@ -639,16 +661,16 @@ fn first_image(
 }
 
 /// The inertial sensor beside the camera, or why it is left out: of a recording its topic, unless a
-/// file is named.
+/// path is named.
 fn readings(
     raw: &RawInput,
     args: &SourceArgs,
     body_from_camera: Option<Se3>,
 ) -> Result<(Option<Inertial>, Option<String>), Failure> {
-    let is_file = args.imu.as_deref().is_some_and(Path::is_file);
+    let is_path = args.imu.as_deref().is_some_and(Path::exists);
     if let Images::Video(video) = &raw.images
         && is_recording(&video.path)
-        && !is_file
+        && !is_path
     {
         let readings = Inertial::of_recording(args, &video.path, body_from_camera)?;
         return Ok(match readings {
@@ -738,26 +760,24 @@ fn no_calibration(reason: &str) -> Failure {
     ))
 }
 
-/// From images of this camera, where each has a mask of its own or not, to working images.
+/// From images of this camera to working images.
 fn preparation(
-    (known, has_masks): (&KnownCamera, bool),
+    known: &KnownCamera,
     (args, usual, fixed): (&SourceArgs, WorkingSize, Option<&FixedPart>),
     photometric: Photometric,
 ) -> Result<Preparation, Failure> {
     let camera = &known.camera;
-    let file = args.mask.as_deref().filter(|_| !has_masks);
-    let users = user_mask(file, (camera.width, camera.height))?;
-    let mask = both(users, fixed.map(|fixed| &fixed.mask));
+    let mask = fixed.map(|fixed| &fixed.mask);
     let size = match args.size {
         None => usual,
         Some((width, height)) => WorkingSize::Exact { width, height },
     };
-    let preparation = Preparation::new(camera, size, mask.as_ref(), photometric)
+    let preparation = Preparation::new(camera, size, mask, photometric)
         .with_readout_ms(known.readout_ms.unwrap_or(0.0));
     let usable = preparation.mask().as_slice();
     if usable.iter().all(|&valid| valid == 0) {
         return Err(Failure::input(
-            "no pixel of the image may be used: check --mask and the calibration",
+            "no pixel of the image may be used: check the calibration",
         ));
     }
     Ok(preparation)
@@ -816,41 +836,34 @@ fn make_square(calibration: &mut Calibration, video: &VideoSource) {
     ));
 }
 
-/// What both masks leave.
-fn both(users: Option<Mask>, fixed: Option<&Mask>) -> Option<Mask> {
-    let (Some(mut mask), Some(fixed)) = (users.clone(), fixed) else {
-        return users.or(fixed.cloned());
-    };
-    for y in 0..mask.height() {
-        for (pixel, fixed) in mask.row_mut(y).iter_mut().zip(fixed.row(y)) {
-            *pixel = (*pixel).min(*fixed);
-        }
-    }
-    Some(mask)
-}
-
-fn user_mask(
-    file: Option<&Path>,
-    (width, height): (usize, usize),
-) -> Result<Option<Mask>, Failure> {
-    let Some(path) = file else {
-        return Ok(None);
-    };
-    let mask = read_mask(path).bad_input()?;
-    if (mask.width(), mask.height()) != (width, height) {
-        return Err(Failure::input(format!(
-            "mask {} is {}x{} pixels, the images are {width}x{height}",
-            path.display(),
-            mask.width(),
-            mask.height()
-        )));
-    }
-    Ok(Some(mask))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use monogrid_datasets::encode_png;
+    use monogrid_image::Image;
+
+    #[test]
+    fn the_size_of_most_of_the_first_images_counts() {
+        let folder = tempfile::tempdir().unwrap();
+        let args = SourceArgs {
+            fov: Some(60.0),
+            ..SourceArgs::default()
+        };
+        for (sizes, expected) in [
+            (vec![40, 80, 80, 80, 40], 80),
+            (vec![80, 40, 80, 40], 80),
+            (vec![40], 40),
+        ] {
+            let path = folder.path().join(sizes.len().to_string());
+            std::fs::create_dir(&path).unwrap();
+            for (k, width) in sizes.into_iter().enumerate() {
+                let image = Image::from_fn(width, 60, |x, y| (3 * x + y) as u8);
+                std::fs::write(path.join(format!("{k}.png")), encode_png(&image)).unwrap();
+            }
+            let input = Input::open(&path, &args, WorkingSize::AUTOMATIC).unwrap();
+            assert_eq!(input.camera().width, expected);
+        }
+    }
 
     #[test]
     fn frames_are_counted_after_those_left_out() {

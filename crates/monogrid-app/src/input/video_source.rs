@@ -53,9 +53,9 @@ pub struct VideoSource {
 pub type VideoItem = (usize, i64, Result<GrayImage, Unusable>);
 
 /// Endings of files that are no videos: they have readers of their own, or none.
-const NO_VIDEOS: [&str; 15] = [
-    "txt", "zip", "tar", "gz", "tgz", "mgk", "ot", "bt", "mgo", "ply", "pcd", "toml", "yaml",
-    "json", "csv",
+const NO_VIDEOS: [&str; 16] = [
+    "txt", "zip", "tar", "gz", "tgz", "mgk", "ot", "bt", "mgo", "ply", "pcd", "stl", "toml",
+    "yaml", "json", "csv",
 ];
 
 /// Whether a source is a video, a camera or a stream, files by their content; everything else is

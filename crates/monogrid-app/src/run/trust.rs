@@ -1,6 +1,6 @@
 //! How far to trust a map, in one sentence: what is least certain, and how to film so that it is.
 
-use crate::input::{Input, seen};
+use crate::input::seen;
 use crate::run::summary::{Status, Summary};
 use monogrid_calibration::CameraMotion;
 
@@ -19,23 +19,18 @@ struct Uncertainty {
 }
 
 /// The sentence; `None` where there is no map.
-pub fn trust(summary: &Summary, input: &Input) -> Option<String> {
+pub fn trust(summary: &Summary) -> Option<String> {
     let has_map = summary.keyframes > 0 && !summary.localise_only;
     let is_refused = matches!(summary.status, Status::StandsStill | Status::OnlyTurns);
     if !has_map || is_refused {
         return None;
     }
-    Some(sentence(&uncertainties(summary, is_focal_assumed(input))))
-}
-
-fn is_focal_assumed(input: &Input) -> bool {
-    let own = input.own_calibration.as_ref();
-    own.is_some_and(|own| own.is_assumed)
+    Some(sentence(&uncertainties(summary)))
 }
 
 /// What is uncertain, the worst first.
-fn uncertainties(summary: &Summary, is_focal_assumed: bool) -> Vec<Uncertainty> {
-    let depth = of_depth(summary, is_focal_assumed);
+fn uncertainties(summary: &Summary) -> Vec<Uncertainty> {
+    let depth = of_depth(summary);
     let all = depth.into_iter().chain(of_places(summary));
     let found = all.filter(|(is_doubted, ..)| *is_doubted);
     found
@@ -46,7 +41,7 @@ fn uncertainties(summary: &Summary, is_focal_assumed: bool) -> Vec<Uncertainty> 
 /// Whether something is uncertain, what it is, and what makes it certain.
 type Doubt = (bool, &'static str, &'static str);
 
-fn of_depth(summary: &Summary, is_focal_assumed: bool) -> [Doubt; 4] {
+fn of_depth(summary: &Summary) -> [Doubt; 4] {
     [
         (
             summary.points == 0,
@@ -64,7 +59,7 @@ fn of_depth(summary: &Summary, is_focal_assumed: bool) -> [Doubt; 4] {
             "move sideways, by a tenth of the distance to what it sees or more",
         ),
         (
-            is_focal_assumed,
+            summary.camera.is_focal_assumed,
             "the focal length, which is assumed: depth and shape may be stretched",
             "turn the camera while moving it sideways, or give --calibration",
         ),

@@ -260,7 +260,7 @@ fn summary(
     summary.inertial.clone_from(&looked.sensed.summary);
     summary.depth = extras.depth;
     summary.map_error = extras.map;
-    summary.trust = trust(&summary, input);
+    summary.trust = trust(&summary);
     summary
 }
 

@@ -51,7 +51,7 @@ pub enum ImageError {
 type Grey = fn(&[u8]) -> f32;
 
 /// What [`gray_image`] understands: name, bytes of a pixel, grey value; 16 bits are little endian.
-const ENCODINGS: [(&str, usize, Grey); 19] = [
+const ENCODINGS: [(&str, usize, Grey); 23] = [
     ("mono8", 1, FIRST),
     ("8UC1", 1, FIRST),
     ("mono16", 2, MONO16),
@@ -71,6 +71,10 @@ const ENCODINGS: [(&str, usize, Grey); 19] = [
     ("bayer_bggr8", 1, FIRST),
     ("bayer_gbrg8", 1, FIRST),
     ("bayer_grbg8", 1, FIRST),
+    ("bayer_rggb16", 2, MONO16),
+    ("bayer_bggr16", 2, MONO16),
+    ("bayer_gbrg16", 2, MONO16),
+    ("bayer_grbg16", 2, MONO16),
 ];
 const FIRST: Grey = |b| f32::from(b[0]);
 const SECOND: Grey = |b| f32::from(b[1]);
@@ -90,11 +94,25 @@ pub fn gray_image(image: &Image) -> Result<GrayImage, ImageError> {
     let (name, bytes, grey) = *found.ok_or_else(|| ImageError::Encoding {
         found: image.encoding.clone(),
     })?;
-    match name {
-        "mono16" | "16UC1" if image.is_bigendian != 0 => pixels(image, bytes, MONO16_BIG),
-        _ if name.starts_with("bayer") => Ok(without_mosaic(&pixels(image, bytes, grey)?)),
-        _ => pixels(image, bytes, grey),
-    }
+    let grey = match has_words(name) && image.is_bigendian != 0 {
+        true => MONO16_BIG,
+        false => grey,
+    };
+    let pixels = pixels(image, bytes, grey)?;
+    Ok(match name.starts_with("bayer") {
+        true => without_mosaic(&pixels),
+        false => pixels,
+    })
+}
+
+/// Whether grey values of this encoding have 16 bits, of which nothing says how many are used.
+pub(crate) fn has_words(encoding: &str) -> bool {
+    encoding.ends_with("16") || encoding == "16UC1"
+}
+
+/// Whether a file has such values: a PNG of 16 bits.
+pub(crate) fn has_words_compressed(file: &[u8]) -> bool {
+    file.starts_with(b"\x89PNG") && file.get(24) == Some(&16)
 }
 
 /// The grey image, 0 to 255, of a JPEG or PNG file, where it is the mosaic of a sensor resolved.
@@ -306,6 +324,9 @@ mod tests {
         for (encoding, ..) in ENCODINGS {
             let message = image(encoding, 2, 8, &[7; 16]);
             let values = grey(&message);
+            let mut big = message.clone();
+            big.is_bigendian = 1;
+            assert_eq!(grey(&big), values);
             assert!(values.len() == 4 && values.iter().all(|v| (v - 7.0).abs() < 0.01));
         }
     }

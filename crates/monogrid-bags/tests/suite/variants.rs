@@ -4,7 +4,7 @@
 
 use base64::Engine as _;
 use monogrid_bags::{Bag, McapWriter, TopicKind, is_bag};
-use monogrid_datasets::encode_png;
+use monogrid_datasets::{encode_png, encode_png_16};
 use monogrid_geometry::{Distortion, Pinhole};
 use monogrid_image::Image;
 use monogrid_messages::builtin_interfaces::Time;
@@ -528,4 +528,51 @@ fn depth_beside_images_is_not_meant() {
         error.is_single_frame() && error.to_string().contains("depth"),
         "{error}"
     );
+}
+
+#[test]
+fn sixteen_bits_of_which_a_part_is_used_are_shown_by_the_first_images() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("deep.mcap");
+    let mut file = Mcap::new();
+    file.channel(1, "/plain", IMAGE, "cdr");
+    file.channel(
+        2,
+        "/packed/compressed",
+        "sensor_msgs/msg/CompressedImage",
+        "cdr",
+    );
+    // a sensor of 12 bits; the tenth image is brighter than the first eight
+    let word = |x: usize, k: i64| (if k < 10 { 400 * x } else { 60_000 }) as u16;
+    for k in 0..11 {
+        let words = (0..20).map(|at| word(at % 10, k));
+        let image = Pixels {
+            width: 10,
+            height: 2,
+            encoding: "mono16".to_owned(),
+            step: 20,
+            data: words.flat_map(u16::to_le_bytes).collect(),
+            ..pixels(k, 0)
+        };
+        file.message(1, k as u64, &encoded(&image));
+        let packed = CompressedImage {
+            header: pixels(k, 0).header,
+            format: "mono16; png compressed mono16".to_owned(),
+            data: encode_png_16(&Image::from_fn(10, 2, |x, _| word(x, k))),
+        };
+        file.message(2, k as u64, &encoded(&packed));
+    }
+    file.write(&path);
+    let bag = Bag::open(&path).unwrap();
+    for name in ["/plain", "/packed/compressed"] {
+        let topic = bag.image_topic(Some(name)).unwrap();
+        assert_eq!(
+            (bag.levels(topic).black, bag.levels(topic).white),
+            (0.0, 4095.0)
+        );
+        let images: Vec<_> = bag.images(topic).map(|image| image.unwrap().1).collect();
+        let expected = 255.0 * 1200.0 / 4095.0;
+        assert!((images[9].at(3, 1) - expected).abs() < 0.01, "{name}");
+        assert_eq!(images[10].at(3, 1), 255.0);
+    }
 }

@@ -15,8 +15,9 @@ pub fn left_out(model: &MeshModel, source: &Path) -> Option<String> {
     let count = model.left_out;
     (count > 0).then(|| {
         format!(
-            "{}: {count} points whose coordinates are not finite are left out",
-            source.display()
+            "{}: {count} points whose coordinates are not finite are left out, {} are used",
+            source.display(),
+            model.mesh.vertices.len()
         )
     })
 }

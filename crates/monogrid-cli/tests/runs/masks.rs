@@ -1,4 +1,4 @@
-//! A mask for each frame: what moves before the camera, or with it, is not seen.
+//! A mask for all frames, or one for each: what moves before the camera, or with it, is not seen.
 
 use crate::common::{
     WITHOUT_DENSE_DEPTH, assert_fails, code, copy_of_small_sequence, json, monogrid, stderr,
@@ -113,6 +113,22 @@ fn what_the_mask_of_a_frame_names_is_not_seen() {
     let image = |name: &str| fs::read(at(name).join("keyframes/00000_image.png")).unwrap();
     assert_eq!(image("4"), image("5"));
 
+    // one for all of them, of half their size, is the same as one for each
+    let mask = Mask::from_fn(160, 120, |x, y| if x < 70 && y > 80 { 0 } else { 255 });
+    fs::write(at("one.png"), encode_png(&mask)).unwrap();
+    fs::create_dir(at("each")).unwrap();
+    for entry in fs::read_dir(&masks).unwrap() {
+        let name = entry.unwrap().file_name();
+        fs::copy(at("one.png"), at("each").join(name)).unwrap();
+    }
+    for (name, out) in [("one.png", "7"), ("each", "8")] {
+        let mask = at(name);
+        let by_this = ["--mask", mask.to_str().unwrap()];
+        run(&covered, &at(out), &[&by_this[..], &part].concat());
+    }
+    assert_eq!(image("7"), image("8"));
+    assert_ne!(image("7"), image("4"));
+
     // one is missing, and one is damaged
     let names = fs::read_dir(&masks)
         .unwrap()
@@ -139,8 +155,22 @@ fn masks_of_something_else_are_refused() {
     copy_of_small_sequence(&sequence);
     let masks = dir.path().join("masks");
     fs::create_dir(&masks).unwrap();
-    fs::write(masks.join("a.png"), encode_png(&Mask::filled(320, 240, 0))).unwrap();
-    let [sequence, masks] = [&sequence, &masks].map(|path| path.to_str().unwrap());
-    let output = monogrid(["check", sequence, "--mask", masks]);
-    assert_fails(&output, 2, &["the name of an image"]);
+    let (black, square) = (Mask::filled(320, 240, 0), Mask::filled(240, 240, 255));
+    fs::write(masks.join("a.png"), encode_png(&black)).unwrap();
+    let [all, other] = ["all.png", "other.png"].map(|name| dir.path().join(name));
+    fs::write(&all, encode_png(&black)).unwrap();
+    fs::write(&other, encode_png(&square)).unwrap();
+    for (mask, said) in [
+        (&masks, "the name of an image"),
+        (&all, "all of it is black"),
+        (&other, "240x240 pixels, the image is 320x240"),
+    ] {
+        let output = monogrid([
+            "check".as_ref(),
+            sequence.as_os_str(),
+            "--mask".as_ref(),
+            mask.as_os_str(),
+        ]);
+        assert_fails(&output, 2, &[said]);
+    }
 }

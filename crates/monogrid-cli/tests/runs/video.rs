@@ -48,6 +48,13 @@ fn a_phone_video_of_real_data_with_nothing_else() {
     let summary = json(&output);
     assert_eq!(summary["frames"], 400);
     assert!(summary["tracked"].as_u64().unwrap() > 100, "{summary}");
+    let camera = &summary["camera"];
+    assert_eq!(camera["is_focal_assumed"], is_assumed, "{camera}");
+    let sigma = camera["focal_sigma"].as_f64();
+    assert!(
+        is_assumed || sigma.is_some_and(|sigma| sigma < 0.1),
+        "{camera}"
+    );
     // the next run takes what this one found
     let calibration = fs::read_to_string(out.join("calibration.txt")).unwrap();
     assert_eq!(

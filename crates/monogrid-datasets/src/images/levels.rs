@@ -7,16 +7,18 @@
 use super::decode::{Format, decode_raster, luma_of, read_image_file, sniff};
 use super::raster::{Raster, Samples};
 use crate::DatasetError;
+use monogrid_image::GrayImage;
 use std::path::Path;
 
-/// Images whose values are looked at: the first ones, since streams have no others yet.
-const NUM_IMAGES: usize = 8;
 /// Share of the pixels that may lie outside at each end: dead pixels, reflections.
 const OUTSIDE: f64 = 0.001;
 /// Share of the range that is left free at each end, for what later images show.
 const MARGIN: f32 = 0.1;
 /// Share of the values of a number of bits from which all of them count as used.
 const USED_SHARE: f32 = 0.4;
+
+/// 65535 / 255.
+const WORDS_PER_GREY: f32 = 257.0;
 
 /// Values of 16-bit samples that are shown as black and white.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,6 +30,9 @@ pub struct Levels {
 }
 
 impl Levels {
+    /// Images whose values are looked at: the first ones, since streams have no others yet.
+    pub const NUM_IMAGES: usize = 8;
+
     /// All values of 16 bits.
     pub const ALL: Self = Self {
         black: 0.0,
@@ -39,7 +44,7 @@ impl Levels {
     #[must_use]
     pub fn of_images<'a>(paths: impl IntoIterator<Item = &'a Path>) -> Self {
         let mut counts = Vec::new();
-        for path in paths.into_iter().take(NUM_IMAGES) {
+        for path in paths.into_iter().take(Self::NUM_IMAGES) {
             let raster = read_image_file(path).and_then(|bytes| {
                 let is_jpeg = sniff(&bytes, path)? == Format::Jpeg;
                 (!is_jpeg).then(|| decode_raster(&bytes, path)).transpose()
@@ -52,6 +57,25 @@ impl Levels {
             }
         }
         Self::of_counts(&counts)
+    }
+
+    /// What the first images of a sequence use of 16 bits, by their grey values, [0, 255], of
+    /// [all](Self::ALL) of these.
+    #[must_use]
+    pub fn of_grey(images: impl IntoIterator<Item = GrayImage>) -> Self {
+        let mut counts = vec![0; usize::from(u16::MAX) + 1];
+        for image in images.into_iter().take(Self::NUM_IMAGES) {
+            for value in image.as_slice() {
+                counts[usize::from((value * WORDS_PER_GREY).round() as u16)] += 1;
+            }
+        }
+        Self::of_counts(&counts)
+    }
+
+    /// The grey values of an image of [all](Self::ALL) 16 bits in these levels.
+    #[must_use]
+    pub fn of_all(&self, image: &GrayImage) -> GrayImage {
+        image.map(|value| self.show(value * WORDS_PER_GREY))
     }
 
     /// The range of values that occur so many times.

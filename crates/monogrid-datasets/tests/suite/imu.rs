@@ -158,3 +158,108 @@ fn a_transform_is_seven_numbers_or_a_matrix() {
     let path = file(folder.path(), "2 0 0 0 0 2 0 0 0 0 2 0\n");
     assert!(read_transform(&path).is_err(), "no rotation");
 }
+
+/// A log of one sensor: times of 10 ms, and a constant reading in columns of these names.
+fn log(folder: &Path, name: &str, columns: &str, first_ns: i64, [x, y, z]: [f64; 3]) {
+    let mut text = format!("{columns}\n").trim_start().to_owned();
+    for k in 0..20 {
+        let ns = first_ns + k * 10_000_000;
+        let value = |column: &str| match column {
+            "x" => x.to_string(),
+            "y" => y.to_string(),
+            "z" => z.to_string(),
+            "seconds_elapsed" => format!("{:.3}", 0.01 * k as f64),
+            _ => ns.to_string(),
+        };
+        let columns = if columns.is_empty() {
+            "x,y,z,time"
+        } else {
+            columns
+        };
+        let row: Vec<String> = columns.split(',').map(value).collect();
+        text += &(row.join(",") + "\n");
+    }
+    fs::write(folder.join(name), text).expect("a file");
+}
+
+/// When the gyroscope begins, and what it reads.
+const START: i64 = 1_770_510_090_666_860_288;
+const RATE: [f64; 3] = [0.25, -0.5, 1.0];
+
+fn check_log(path: &Path, force: [f64; 3], said: &str) {
+    let found = ImuFile::read(path).expect("a log");
+    let text = &found.interpretation;
+    assert!(
+        text.contains(said) && text.contains("nanoseconds"),
+        "{text}"
+    );
+    // the accelerometer begins 5 ms later and ends as much later
+    assert_eq!(found.samples.len(), 19, "{text}");
+    assert_eq!(found.samples[0].timestamp_ns, START + 10_000_000);
+    for sample in &found.samples {
+        assert_eq!(sample.angular_velocity, Vec3::from(RATE));
+        assert!(
+            (sample.specific_force - Vec3::from(force)).norm() < 1e-9,
+            "{text}"
+        );
+    }
+}
+
+#[test]
+fn logs_of_phones_have_a_file_for_each_sensor() {
+    const COLUMNS: &str = "time,seconds_elapsed,z,y,x";
+    let (start, rate, later) = (START, RATE, START + 5_000_000);
+    let device = "version,device name,platform,standardisation";
+    let new = || tempfile::tempdir().unwrap();
+
+    // Sensor Logger on Android
+    let folder = new();
+    let at = folder.path();
+    log(at, "Gyroscope.csv", COLUMNS, start, rate);
+    log(at, "GyroscopeUncalibrated.csv", COLUMNS, start, [9.0; 3]);
+    log(at, "Accelerometer.csv", COLUMNS, later, [0.0, 0.0, 0.25]);
+    log(at, "Gravity.csv", COLUMNS, later, [0.0, 0.0, 9.75]);
+    log(
+        at,
+        "TotalAcceleration.csv",
+        COLUMNS,
+        later,
+        [0.0, 0.5, 10.0],
+    );
+    check_log(at, [0.0, 0.5, 10.0], "TotalAcceleration.csv");
+    check_log(&at.join("Gyroscope.csv"), [0.0, 0.5, 10.0], "Gyroscope.csv");
+
+    // and on iOS, where gravity is apart, and counted downwards unless it is told not to
+    fs::remove_file(at.join("TotalAcceleration.csv")).unwrap();
+    let error = ImuFile::read(at).unwrap_err().to_string();
+    assert!(error.contains("Metadata.csv"), "{error}");
+    for (standard, sign) in [("false", -1.0), ("true", 1.0)] {
+        let text = format!("{device}\n1,a phone,ios,{standard}\n");
+        fs::write(at.join("Metadata.csv"), text).unwrap();
+        check_log(
+            at,
+            [0.0, 0.0, 10.0 * sign],
+            "Accelerometer.csv + Gravity.csv",
+        );
+    }
+}
+
+#[test]
+fn logs_beside_a_video_have_no_names_of_columns() {
+    let (start, rate, later) = (START, RATE, START + 5_000_000);
+    let new = || tempfile::tempdir().unwrap();
+    // OpenCamera Sensors
+    let folder = new();
+    let at = folder.path();
+    log(at, "VID_1gyro.csv", "", start, rate);
+    log(at, "VID_1accel.csv", "", later, [0.0, 9.5, 0.0]);
+    check_log(at, [0.0, 9.5, 0.0], "VID_1accel.csv");
+    log(at, "VID_2gyro.csv", "", start, [0.0; 3]);
+    log(at, "VID_2accel.csv", "", later, [9.5, 0.0, 0.0]);
+    check_log(&at.join("VID_1gyro.csv"), [0.0, 9.5, 0.0], "VID_1accel.csv");
+    check_log(&at.join("VID_1accel.csv"), [0.0, 9.5, 0.0], "VID_1gyro.csv");
+    let error = ImuFile::read(at).unwrap_err().to_string();
+    assert!(error.contains("several recordings"), "{error}");
+    let error = ImuFile::read(new().path()).unwrap_err().to_string();
+    assert!(error.contains("TotalAcceleration.csv"), "{error}");
+}

@@ -21,6 +21,25 @@ fn tum_and_euroc_lines_mean_the_same() {
     let b = parse_trajectory(euroc, path()).expect("EuRoC");
     assert_eq!(a[0].timestamp_ns, 1_403_715_524_907_143_168);
     assert_eq!(a, b);
+    // commas alone do not make it EuRoC's: where w is follows from the names, else from the times
+    let values = "0.5,2.0,-1,0.789985,-0.205376,0.554528,0.161996";
+    let w_first = "0.5,2.0,-1,0.161996,0.789985,-0.205376,0.554528";
+    for other in [
+        format!("1403715524.907143168,{values}\n"),
+        format!("timestamp,tx,ty,tz,qx,qy,qz,qw\n1403715524907143168,{values}\n"),
+        format!(
+            "timestamp, p_WS_W_x, p_WS_W_y, p_WS_W_z, q_WS_x, q_WS_y, q_WS_z, q_WS_w, v\n\
+             1403715524907143168, {values}, 7\n"
+        ),
+        format!("#timestamp,x,y,z,qw [],qx [],qy [],qz []\n1403715524.907143168,{w_first}\n"),
+        format!("1403715524907143168,{w_first},0,0,0,\n"),
+    ] {
+        assert_eq!(
+            parse_trajectory(&other, path()).expect(&other),
+            a,
+            "{other}"
+        );
+    }
     // q = (x, y, z, w) turns the x axis to (w^2+x^2-y^2-z^2, ...)
     let q = [0.789985, -0.205376, 0.554528, 0.161996f64];
     let norm: f64 = q.iter().map(|v| v * v).sum();

@@ -98,13 +98,21 @@ pub enum TruthError {
         /// What was found.
         point: [f64; 3],
     },
-    /// None of so many camera positions lies in free space.
+    /// No camera position lies in free space.
     #[error(
-        "none of the {0} camera positions lies in free space inside the surface; are the \
-         trajectory and the surface in the same frame and unit? Do balls around its points \
-         (splat radius) or closed holes (hole cells) fill the space around the camera?"
+        "none of the {cameras} camera positions lies in free space: {in_surface} are in cells that \
+         the surface or the balls around its points fill, {near_surface} in cells so near to such \
+         that they count as closed holes; are the trajectory and the surface in the same frame and \
+         unit? Smaller cells, fewer hole cells, or a smaller splat radius leave more space free"
     )]
-    NoFreeCamera(usize),
+    NoFreeCamera {
+        /// All of them.
+        cameras: usize,
+        /// Those in cells of the surface.
+        in_surface: usize,
+        /// Those in cells that are closed with its holes.
+        near_surface: usize,
+    },
     /// A depth image whose size does not match its camera.
     #[error("depth image {index} has {found} pixels, expected {width}x{height}")]
     ImageSize {
@@ -243,7 +251,13 @@ fn filled(
     let seeds: Vec<[i32; 3]> = cameras.iter().filter_map(|c| grid.key(*c)).collect();
     let outcome = fill::fill_free(&mut grid, &seeds, config.hole_cells);
     if outcome.good_seeds == 0 {
-        return Err(TruthError::NoFreeCamera(cameras.len()));
+        let cells = seeds.iter().filter_map(|seed| grid.local(*seed));
+        let in_surface = cells.filter(|cell| grid.code(*cell) == OCCUPIED).count();
+        return Err(TruthError::NoFreeCamera {
+            cameras: cameras.len(),
+            in_surface,
+            near_surface: seeds.len() - in_surface,
+        });
     }
     Ok(Truth {
         grid,

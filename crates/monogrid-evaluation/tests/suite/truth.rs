@@ -135,8 +135,14 @@ fn bad_input_is_named() {
     let config = TruthConfig::with_resolution(0.05);
     let nothing = truth_from_triangles(&[], &[[0.0; 3]], &config);
     assert_eq!(nothing, Err(TruthError::NothingKnown));
-    let outside = truth_from_triangles(&room(), &[[0.6, 0.6, 0.613]], &config);
-    assert_eq!(outside, Err(TruthError::NoFreeCamera(1)));
+    let cameras = [[0.6, 0.6, 0.613], [0.013, 0.6, 0.6], [0.063, 0.6, 0.6]];
+    let outside = truth_from_triangles(&room(), &cameras, &config);
+    let expected = TruthError::NoFreeCamera {
+        cameras: 3,
+        in_surface: 2,
+        near_surface: 1,
+    };
+    assert_eq!(outside, Err(expected));
     let nan = [[[f64::NAN; 3]; 3]];
     assert!(matches!(
         truth_from_triangles(&nan, &[], &config),

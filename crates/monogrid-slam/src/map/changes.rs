@@ -242,8 +242,8 @@ impl Map {
         for (id, pose) in adjusted.camera_from_world {
             self.keyframes[id as usize].camera_from_world = pose;
         }
-        if let (Some(sigma), Some(newest)) = (adjusted.newest, self.keyframes.last_mut()) {
-            newest.pose_sigma = Some(sigma);
+        if let Some((id, sigma)) = adjusted.last {
+            self.keyframes[id as usize].pose_sigma = Some(sigma);
         }
         for (point, idepth) in adjusted.idepths {
             self.points[point].idepth = idepth;

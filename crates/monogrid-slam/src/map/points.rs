@@ -136,8 +136,8 @@ pub(crate) struct Registration {
 /// What a bundle adjustment says.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Adjustment {
-    /// How well the pose of the newest keyframe is known, if it was asked.
-    pub newest: Option<PoseSigma>,
+    /// How well the pose of the last of these keyframes is known, if it was asked.
+    pub last: Option<(KeyframeId, PoseSigma)>,
     pub camera_from_world: Vec<(KeyframeId, Se3)>,
     pub idepths: Vec<(usize, f64)>,
     /// Points, and keyframes that do not see them after all.

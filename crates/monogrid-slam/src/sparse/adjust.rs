@@ -68,9 +68,11 @@ pub(crate) fn adjust_window(map: &Map, pinhole: &Pinhole, config: &SparseConfig)
     let adjustment = adjust_by(map, newest.fragment, free, &lens, &|problem| {
         adjust(&problem.bundle, &settings)
     });
+    let known = adjustment.last.filter(|(id, _)| *id == newest.id);
+    // no points hold one that was not adjusted
+    let last = known.unwrap_or((newest.id, PoseSigma::UNKNOWN));
     Adjustment {
-        // no points hold one that was not adjusted
-        newest: (newest.rank > 0).then(|| adjustment.newest.unwrap_or(PoseSigma::UNKNOWN)),
+        last: (newest.rank > 0).then_some(last),
         ..adjustment
     }
 }
@@ -247,11 +249,11 @@ impl Problem {
         })
     }
 
-    /// How well the newest pose is known beside those that were not adjusted, if it was.
-    fn newest(&self, solution: &BundleSolution) -> Option<PoseSigma> {
+    /// How well the last pose is known beside those that were not adjusted, if it was.
+    fn last(&self, solution: &BundleSolution) -> Option<(KeyframeId, PoseSigma)> {
         let is_free = self.bundle.keyframes.last()?.freedom != PoseFreedom::Fixed;
         let covariance = solution.covariance.as_ref()?.poses.last()?;
-        is_free.then(|| PoseSigma::of(covariance))
+        is_free.then_some((*self.keyframes.last()?, PoseSigma::of(covariance)))
     }
 
     /// What a solution says about keyframes and points.
@@ -262,7 +264,7 @@ impl Problem {
         let points = self.points.iter().copied();
         let observations = self.bundle.observations.iter();
         Adjustment {
-            newest: self.newest(solution),
+            last: self.last(solution),
             camera_from_world: keyframes.zip(camera_from_world).collect(),
             idepths: points.zip(idepths).collect(),
             refuted: observations

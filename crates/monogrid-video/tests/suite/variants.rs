@@ -344,8 +344,8 @@ fn field(number: u8, bytes: &[u8]) -> Vec<u8> {
     [out, bytes.to_vec()].concat()
 }
 
-/// An MCAP file with a topic of packets of 10 ms each (<https://mcap.dev/spec>).
-fn recording_of(packets: &[&[u8]]) -> Vec<u8> {
+/// An MCAP file with a topic of packets of 10 ms each (<https://mcap.dev/spec>), and one of words.
+fn recording_of(packets: &[&[u8]], format: &str) -> Vec<u8> {
     let text = |text: &str| [&(text.len() as u32).to_le_bytes(), text.as_bytes()].concat();
     let record = |opcode: u8, body: &[u8]| {
         [
@@ -356,29 +356,47 @@ fn recording_of(packets: &[&[u8]]) -> Vec<u8> {
         .concat()
     };
     let magic = b"\x89MCAP0\r\n";
-    let schema = [
-        &[1, 0],
-        text("foxglove.CompressedVideo").as_slice(),
-        &text(""),
-        &text(""),
-    ]
-    .concat();
-    let channel = [
-        &[1, 0, 1, 0],
-        text("/video").as_slice(),
-        &text("protobuf"),
-        &text(""),
-    ]
-    .concat();
-    let mut file = [magic.as_slice(), &record(3, &schema), &record(4, &channel)].concat();
+    let mut file = magic.to_vec();
+    let types = ["foxglove.CompressedVideo", "std_msgs/msg/String"];
+    for (id, (name, type_name)) in (1..).zip(["/video", "/words"].into_iter().zip(types)) {
+        let schema = [&[id, 0], &*text(type_name), &text(""), &text("")].concat();
+        let channel = [&[id, 0, id, 0], &*text(name), &text("protobuf"), &text("")].concat();
+        file.extend([record(3, &schema), record(4, &channel)].concat());
+        let head = [&[id, 0, 0, 0, 0, 0], [0_u8; 16].as_slice()].concat();
+        file.extend((id == 2).then(|| record(5, &head)).into_iter().flatten());
+    }
     for (k, packet) in packets.iter().enumerate() {
         let nanoseconds = [vec![2 << 3, 0x80 | (k as u8 & 0x7f), 0x80, 0x01]].concat();
         let time = field(1, &[vec![1 << 3, 1], nanoseconds].concat());
-        let message = [time, field(4, b"h264"), field(3, packet)].concat();
+        // fields that are empty are not written
+        let fields = [(4, format.as_bytes()), (3, packet)];
+        let fields = fields.into_iter().filter(|(_, bytes)| !bytes.is_empty());
+        let fields: Vec<u8> = fields.flat_map(|(id, bytes)| field(id, bytes)).collect();
+        let message = [time, fields].concat();
         let head = [&[1, 0, 0, 0, 0, 0], [0_u8; 16].as_slice()].concat();
         file.extend(record(5, &[head, message].concat()));
     }
     [file, record(2, &[0; 20]), magic.to_vec()].concat()
+}
+
+#[test]
+fn a_recording_whose_video_cannot_be_read_says_why_and_what_is_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("video.mcap");
+    let junk: &[u8] = &[0, 0, 0, 1, 0x67, 1, 2, 3];
+    let kinds: [(&str, &[u8], &str); 4] = [
+        ("", junk, "do not name their codec"),
+        ("h265", junk, "coded as \"h265\""),
+        ("h264", &[], "no frames"),
+        ("h264", junk, "/video"),
+    ];
+    for (format, packet, reason) in kinds {
+        std::fs::write(&path, recording_of(&[packet; 12], format)).unwrap();
+        let opened = Video::open_recording(&path, None, Patience::default());
+        let said = opened.err().unwrap().to_string();
+        let there = "/video (foxglove.CompressedVideo), /words (std_msgs/msg/String)";
+        assert!(said.contains(reason) && said.contains(there), "{said}");
+    }
 }
 
 #[test]
@@ -412,7 +430,7 @@ fn coded_video_in_a_recording_is_decoded() {
         .collect();
     assert_eq!(packets.len(), 30);
     let path = folder.path().join("video.mcap");
-    std::fs::write(&path, recording_of(&packets)).unwrap();
+    std::fs::write(&path, recording_of(&packets, "h264")).unwrap();
     let (mut video, _) = Video::open_recording(&path, None, Patience::default()).unwrap();
     let found = frames(&mut video).into_iter().map(|frame| frame.image);
     assert!(found.eq(images(&data("reordered.mp4"))));
@@ -420,7 +438,7 @@ fn coded_video_in_a_recording_is_decoded() {
     for at in 0..packets[0].len().min(200) {
         let mut damaged = packets[0].to_vec();
         damaged[at] ^= 0x55;
-        std::fs::write(&path, recording_of(&[&damaged, packets[1]])).unwrap();
+        std::fs::write(&path, recording_of(&[&damaged, packets[1]], "h264")).unwrap();
         if let Ok((video, _)) = Video::open_recording(&path, None, Patience::default()) {
             assert!(video.count() <= 4);
         }

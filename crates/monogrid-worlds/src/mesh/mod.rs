@@ -6,6 +6,7 @@ mod light;
 mod obj;
 mod pcd;
 mod ply;
+mod stl;
 
 use super::bvh::{Bvh, P3, Triangle};
 use super::scene::Material;
@@ -135,8 +136,8 @@ fn mesh_shading(
 }
 
 impl MeshModel {
-    /// Reads a mesh file or a cloud, by its extension (`.obj`, `.ply`, `.glb`,
-    /// `.pcd`).
+    /// Reads a mesh file or a cloud, by its extension (`.obj`, `.ply`, `.stl`,
+    /// `.glb`, `.pcd`).
     ///
     /// # Errors
     /// When the file, its materials or its textures cannot be read.
@@ -147,9 +148,10 @@ impl MeshModel {
         match extension.as_deref() {
             Some("obj") => obj::read(path),
             Some("glb") => glb::read(path),
-            Some(kind @ ("ply" | "pcd")) => {
+            Some(kind @ ("ply" | "pcd" | "stl")) => {
                 let (mesh, left_out) = match kind {
                     "ply" => ply::read_counted(path)?,
+                    "stl" => stl::read_counted(path)?,
                     _ => pcd::read_counted(path)?,
                 };
                 Ok(Self {
@@ -159,7 +161,7 @@ impl MeshModel {
                 })
             }
             _ => {
-                let expected = "a mesh or a cloud: .obj, .ply, .glb or .pcd";
+                let expected = "a mesh or a cloud: .obj, .ply, .stl, .glb or .pcd";
                 Err(DatasetError::content(path, "another extension", expected))
             }
         }

@@ -1,6 +1,8 @@
 //! What a run did, counted.
 
-use super::{ARBITRARY, FragmentSummary, Latency, METRIC, MapFacts, Seconds, Status, Summary};
+use super::{
+    ARBITRARY, CameraSummary, FragmentSummary, Latency, METRIC, MapFacts, Seconds, Status, Summary,
+};
 use crate::input::Input;
 use crate::input::seen::name;
 use crate::run::RunSettings;
@@ -38,6 +40,7 @@ impl Summary {
             skipped: count(tracked, |fate| matches!(fate, FrameFate::Skipped(_))),
             dropped: count(tracked, |fate| matches!(fate, FrameFate::Dropped)),
             latency_ms: Latency::of(&tracked.rows),
+            camera: CameraSummary::of(input),
             rolling_shutter_ms: tracked.readout_ms,
             lost_episodes: slam.counts().lost_episodes,
             keyframes: slam.num_keyframes(),

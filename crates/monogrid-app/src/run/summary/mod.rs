@@ -6,6 +6,7 @@ mod status;
 pub use make::is_metric;
 pub use status::Status;
 
+use crate::input::Input;
 use crate::process::usage::{peak_rss_bytes, process_start};
 use crate::run::align::{FloorSummary, UpSummary};
 use crate::run::sensed::InertialSummary;
@@ -65,6 +66,30 @@ impl Latency {
             p99: *share(99)?,
             most,
         })
+    }
+}
+
+/// What is known of the camera.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct CameraSummary {
+    /// Focal length of the images in pixels: that along their rows.
+    pub focal_px: f64,
+    /// Standard deviation of its logarithm: with 95 % it is within 1.96 of these; `null` where it
+    /// was given or assumed.
+    pub focal_sigma: Option<f64>,
+    /// Whether it is assumed, since nothing shows it.
+    pub is_focal_assumed: bool,
+}
+
+impl CameraSummary {
+    /// What an input knows of its camera in the end.
+    pub fn of(input: &Input) -> Self {
+        let own = input.own_calibration.as_ref();
+        Self {
+            focal_px: input.camera().pinhole.fx,
+            focal_sigma: own.and_then(|own| own.focal_sigma),
+            is_focal_assumed: own.is_some_and(|own| own.is_assumed),
+        }
     }
 }
 
@@ -141,6 +166,8 @@ pub struct Summary {
     /// Time from a frame to its pose (`--realtime`).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub latency_ms: Option<Latency>,
+    /// The camera whose images were tracked.
+    pub camera: CameraSummary,
     /// Rolling shutter, given or found: time from the first row of an image to the last, ms.
     pub rolling_shutter_ms: f64,
     /// Times that tracking was lost.

@@ -25,8 +25,8 @@ use std::path::{Path, PathBuf};
 /// `monogrid truth`.
 #[derive(Debug, Args)]
 pub struct TruthArgs {
-    /// Mesh or point cloud (.ply, .pcd, .obj), a built-in world (e.g. living-room), or a folder in
-    /// TUM layout with depth images and poses
+    /// Mesh or point cloud (.ply, .pcd, .obj, .stl), a built-in world (e.g. living-room), or a
+    /// folder in TUM layout with depth images and poses
     pub source: PathBuf,
     /// Edge length of a cell, in units of the source
     #[arg(long, value_name = "L", value_parser = positive, default_value_t = 0.05)]
@@ -152,8 +152,8 @@ impl Kind {
         match source.to_str() {
             Some(name) if WORLD_NAMES.contains(&name) => Ok(Self::World(name.to_owned())),
             _ => Err(Failure::input(format!(
-                "{} is neither a mesh or cloud (.ply, .pcd, .obj), nor a folder with depth images, \
-                 nor a built-in world ({})",
+                "{} is neither a mesh or cloud (.ply, .pcd, .obj, .stl), nor a folder with depth \
+                 images, nor a built-in world ({})",
                 source.display(),
                 WORLD_NAMES.join(", ")
             ))),

@@ -31,7 +31,7 @@ use std::time::Duration;
 /// `monogrid view`.
 #[derive(Debug, Args)]
 pub struct ViewArgs {
-    /// Map (.ot, .bt, .mgo), mesh (.glb, .ply, .obj), points (.ply, .pcd), recording (.mgk),
+    /// Map (.ot, .bt, .mgo), mesh (.glb, .ply, .obj, .stl), points (.ply, .pcd), recording (.mgk),
     /// submaps (submaps.json), or the folder of a run
     pub source: PathBuf,
     /// Port on this computer; 0 is any that is free
@@ -137,7 +137,7 @@ impl Shown {
             return Self::of_run(source);
         }
         let extension = source.extension().unwrap_or_default().to_ascii_lowercase();
-        let is_cloud = ["ply", "pcd", "glb", "obj"]
+        let is_cloud = ["ply", "pcd", "glb", "obj", "stl"]
             .iter()
             .any(|known| extension == *known);
         let (scene, cubes) = if Source::is_at(source) {

@@ -188,6 +188,7 @@ fn own_calibration(found: &TargetCalibration, has_tags: bool) -> OwnCalibration 
             found.rms_px
         ),
         is_assumed: false,
+        focal_sigma: None,
         warnings: Vec::new(),
     }
 }

@@ -10,6 +10,7 @@ use monogrid_app::input::{Images, Input};
 use monogrid_app::process::failure::{CommandResult, Failure};
 use monogrid_calibration::CameraMotion;
 use monogrid_datasets::{FrameCheck, FrameChecker, FrameEntry, SequenceCheck};
+use monogrid_geometry::median::median;
 use monogrid_image::{GrayImage, WorkingSize};
 use monogrid_pipeline::Unusable;
 use rayon::prelude::*;
@@ -85,7 +86,7 @@ fn frames(input: &Input) -> Box<dyn Iterator<Item = CheckedFrame> + '_> {
         return in_order();
     };
     let masks = input.reading.masks.as_ref();
-    if masks.is_some_and(|masks| !masks.are_files()) {
+    if masks.is_some_and(|masks| !masks.is_any_known()) {
         return in_order();
     }
     let mut budget = dataset.pixel_budget();
@@ -194,7 +195,9 @@ impl CheckReport {
         let (width, height) = input.size();
         let times = &seen.times;
         let seconds = times.last().unwrap_or(&0.0) - times.first().unwrap_or(&0.0);
-        let gaps = times.windows(2).map(|pair| pair[1] - pair[0]);
+        let gaps = || times.windows(2).map(|pair| pair[1] - pair[0]);
+        let largest_gap = gaps().fold(0.0, f64::max);
+        let usual_gap = median(&mut gaps().collect::<Vec<_>>()).unwrap_or(0.0);
         let inertial = input.inertial.as_ref();
         let mut report = Self {
             source: input.name.clone(),
@@ -205,7 +208,7 @@ impl CheckReport {
                 true => (times.len() - 1) as f64 / seconds,
                 false => 0.0,
             },
-            largest_gap_seconds: gaps.fold(0.0, f64::max),
+            largest_gap_seconds: largest_gap,
             image_size: [input.camera().width, input.camera().height],
             working_size: [width, height],
             calibration: input.interpretation.clone(),
@@ -241,13 +244,21 @@ impl CheckReport {
         if input.own_calibration.is_none() {
             warnings.extend(against_images(input));
         }
-        report.add_slow_or_narrow();
+        report.add_slow_or_narrow(usual_gap);
         report
     }
 
-    fn add_slow_or_narrow(&mut self) {
-        let (rate, view) = (self.frames_per_second, self.horizontal_fov_deg);
-        if self.frames > 1 && rate < LOW_RATE {
+    fn add_slow_or_narrow(&mut self, usual_gap: f64) {
+        let (gap, view) = (self.largest_gap_seconds, self.horizontal_fov_deg);
+        if gap > LONG_GAP_SECONDS && gap > MANY_GAPS * usual_gap {
+            let hole = format!(
+                "{gap:.1} s pass between two frames, usually {usual_gap:.3} s: the camera was off, \
+                 images are missing, or its clock was set"
+            );
+            self.warnings.push(hole);
+        }
+        if self.frames > 1 && usual_gap * LOW_RATE > 1.0 {
+            let rate = 1.0 / usual_gap;
             let slow = format!("{rate:.1} frames per second: the camera must move slowly");
             self.warnings.push(slow);
         }
@@ -259,6 +270,9 @@ impl CheckReport {
     }
 }
 
+/// Times between frames that are said: longer than this, s, and than so many of the usual ones.
+const LONG_GAP_SECONDS: f64 = 2.0;
+const MANY_GAPS: f64 = 20.0;
 /// Frames per second below which the camera must move slowly.
 const LOW_RATE: f64 = 15.0;
 /// Horizontal field of view below which little overlaps, degrees.

@@ -225,7 +225,8 @@ fn write(args: &SynthArgs, folder: &OutputFolder, sequence: &SynthSequence) -> C
 /// Whether a world is asked for by the name of a mesh file.
 pub fn is_mesh(world: &Path) -> bool {
     let extension = world.extension().unwrap_or_default();
-    extension.eq_ignore_ascii_case("ply") || extension.eq_ignore_ascii_case("obj")
+    let is = |name| extension.eq_ignore_ascii_case(name);
+    is("ply") || is("obj") || is("stl")
 }
 
 /// Refuses worlds that cannot be, before the output folder is touched.
