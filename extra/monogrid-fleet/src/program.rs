@@ -2,6 +2,7 @@
 #![allow(clippy::print_stderr, reason = "this is the program")]
 
 use crate::agent::{Agent, AgentConfig, Delivered};
+use crate::config::with_file;
 use crate::network::connections;
 use crate::panics::Panics;
 use crate::server::{APART, JoiningConfig, Limits, Server, ServerConfig};
@@ -73,6 +74,9 @@ pub struct AgentArgs {
     /// rest later
     #[arg(long, value_name = "SECONDS", default_value_t = 600)]
     pub give_up_after: u64,
+    /// Options from a file (TOML): max_rate = 90 is --max-rate 90; the command line holds over it
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
     /// Further options of `monogrid run`, behind --
     #[arg(last = true)]
     pub run: Vec<OsString>,
@@ -87,7 +91,8 @@ pub struct ServerArgs {
     /// Settings of Zenoh (JSON5): TLS, access control; other options stand over what they name
     #[arg(long, value_name = "FILE")]
     pub zenoh_config: Option<PathBuf>,
-    /// Where Prometheus reads how the server is, at /metrics; whoever reaches the address can read
+    /// Where Prometheus reads how the server is, at /metrics, and whether it works, at /health;
+    /// whoever reaches the address can read
     #[arg(long, value_name = "ADDRESS:PORT")]
     pub metrics: Option<SocketAddr>,
     /// Runs of all agents at most; of one agent a quarter
@@ -128,6 +133,9 @@ pub struct ServerArgs {
     /// End when so many runs have ended and all of them is here [default: when interrupted]
     #[arg(long, value_name = "N")]
     pub until_ended: Option<usize>,
+    /// Options from a file (TOML): max_runs = 8 is --max-runs 8; the command line holds over it
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
     /// Further options of `monogrid merge-runs`, behind --
     #[arg(last = true)]
     pub merge: Vec<OsString>,
@@ -142,6 +150,13 @@ fn rate(text: &str) -> Result<f64, String> {
 /// Does what a command line asks for, the name of the program first; the exit code: that of the run
 /// for an agent, 1 where not everything could be delivered.
 pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    let arguments = match with_file(arguments.into_iter().collect()) {
+        Ok(arguments) => arguments,
+        Err(error) => {
+            tell(&format!("error: {error}"));
+            return 2;
+        }
+    };
     let cli = match Cli::try_parse_from(arguments) {
         Ok(cli) => cli,
         Err(error) => {

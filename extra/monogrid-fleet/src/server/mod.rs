@@ -203,8 +203,8 @@ impl Server {
                 .map(|(key, at)| (key.to_string(), at.elapsed()))
                 .collect(),
         };
-        if let Some(metrics) = &mut self.metrics {
-            metrics.set(&counted);
+        if let Some(metrics) = &self.metrics {
+            metrics.set(&counted, self.store.why_nothing_is_kept());
         }
     }
 

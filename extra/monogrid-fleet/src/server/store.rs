@@ -254,12 +254,22 @@ impl Store {
         let of_all = self.usage();
         self.limits
             .check(run.name(), &(of_agent + more), &(of_all + more))?;
+        self.has_room(more.bytes)
+    }
+
+    /// Refuses what would fill the disk.
+    fn has_room(&self, more: u64) -> Result<(), StoreError> {
         let free = free_bytes(&self.folder).map_err(at(&self.folder))?;
-        if free < KEPT_FREE_BYTES.saturating_add(more.bytes) {
+        if free < KEPT_FREE_BYTES.saturating_add(more) {
             let path = self.folder.clone();
             return Err(StoreError::NoSpace { path, free });
         }
         Ok(())
+    }
+
+    /// Why no packet of anybody would be kept now.
+    pub fn why_nothing_is_kept(&self) -> Option<String> {
+        self.has_room(0).err().map(|error| error.to_string())
     }
 
     /// Begins a run with its first packet, which is kept if it `is_new`.
