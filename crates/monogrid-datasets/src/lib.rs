@@ -29,6 +29,7 @@ mod fixed;
 mod gpmf;
 mod images;
 mod imu;
+mod log_line;
 mod places;
 mod printable;
 mod recording;
@@ -53,6 +54,7 @@ pub use images::{
     read_mask, read_rgb, read_rgb_in,
 };
 pub use imu::{ImuCalibration, ImuFile, write_imu};
+pub use log_line::log_line;
 pub use places::{GlobalPlace, TimedPlace, places_of_photographs, read_places_of_subtitles};
 pub use printable::{is_obeyed, printable};
 pub use recording::{

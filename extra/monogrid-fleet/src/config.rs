@@ -16,7 +16,8 @@ const MAX_FILE_BYTES: u64 = 1 << 20;
 /// # Errors
 /// A file that cannot be read, that holds no TOML, or that names what is no option.
 pub fn with_file(arguments: Vec<OsString>) -> Result<Vec<OsString>, String> {
-    let all = Cli::command().ignore_errors(true);
+    let mut all = Cli::command().ignore_errors(true);
+    all.build();
     // what is wrong with it is said by whoever reads the result
     let Ok(given) = all.clone().try_get_matches_from(&arguments) else {
         return Ok(arguments);
@@ -101,9 +102,10 @@ fn texts(value: &Value) -> Result<Vec<String>, &Value> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::program::Command;
     use clap::Parser;
 
-    fn with(file: &str, line: &str) -> Result<Cli, String> {
+    fn with(file: &str, line: &str) -> Result<Command, String> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("fleet.toml");
         std::fs::write(&path, file).unwrap();
@@ -114,15 +116,18 @@ mod tests {
                 .chain(line)
                 .collect(),
         )?;
-        Cli::try_parse_from(line).map_err(|error| error.to_string())
+        let parsed = Cli::try_parse_from(line);
+        parsed
+            .map(|cli| cli.command)
+            .map_err(|error| error.to_string())
     }
 
     #[test]
     fn a_file_says_what_the_command_line_does_not() {
         let file = "listen = [\"tcp/[::]:1\", \"tcp/[::]:2\"]\nout = \"fleet\"\nmax_runs = 8\n\
                     max_disk = 0.5\nmetrics = \"127.0.0.1:9464\"\nmerge = [\"--resolution\", \
-                    0.1]\n";
-        let Ok(Cli::Server(server)) = with(file, "server --config FILE") else {
+                    0.1]\nlog_level = \"warn\"\n";
+        let Ok(Command::Server(server)) = with(file, "server --config FILE") else {
             panic!("no server");
         };
         assert_eq!(server.listen, ["tcp/[::]:1", "tcp/[::]:2"]);
@@ -133,7 +138,7 @@ mod tests {
         assert_eq!(server.join_every, 10);
 
         let line = "server --listen tcp/a:3 --config FILE --max-runs=9 --out=here -- --json";
-        let Ok(Cli::Server(server)) = with(file, line) else {
+        let Ok(Command::Server(server)) = with(file, line) else {
             panic!("no server");
         };
         assert_eq!(server.listen, ["tcp/a:3"]);
@@ -143,7 +148,7 @@ mod tests {
 
         let file = "source = \"/dev/video0\"\nname = \"drone-1\"\nconnect = \"tcp/a:1\"\nout = \
                     \"run\"\nrun = [\"--realtime\"]\n";
-        let Ok(Cli::Agent(agent)) = with(file, "agent --config FILE") else {
+        let Ok(Command::Agent(agent)) = with(file, "agent --config FILE") else {
             panic!("no agent");
         };
         assert_eq!(agent.source.as_deref(), Some(Path::new("/dev/video0")));

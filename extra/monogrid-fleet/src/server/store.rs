@@ -2,7 +2,7 @@
 
 use super::limits::{KEPT_FREE_BYTES, Limits, OverLimit, Usage};
 use super::transforms::{Frame, OwnPoses};
-use crate::messages::RunKey;
+use crate::messages::{RunKey, WARNING};
 use crate::packet::{Packet, PacketError, Unfinished, check_record, check_size};
 use crate::packet_log::{PacketLog, append_at};
 use monogrid_datasets::{
@@ -172,7 +172,7 @@ impl Store {
                 continue;
             }
             if let Err(error) = store.open_run(&run) {
-                say(format!("closed: {run}: {error}"));
+                say(format!("{WARNING}closed: {run}: {error}"));
                 store.closed.insert(run.clone(), error.to_string());
                 // the packets before it were good
                 if let Some(stored) = store.runs.get_mut(&run) {
