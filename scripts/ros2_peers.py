@@ -365,7 +365,7 @@ def ask(participant, service, request, response):
     # one server for each way to write a service
     wait_for(f"service {service}", lambda: len(writer.get_matched_subscriptions()) == 2)
     wait_for(f"service {service}", lambda: len(reader.get_matched_publications()) == 2)
-    # an answer is lost where the server has not yet seen who reads it: whoever asks in ROS asks again
+    # the node waits for the reader; on a busy computer a request may still be lost
     for patience in (3, 20):
         writer.write(request)
         try:
