@@ -35,10 +35,10 @@ mkdir -p "$work"
 work=$(realpath "$work")
 cut=${CUT:-20}
 # frames of an agent, and from one agent to the next
-length=211 step=211
+length=211 step=211 coarse=
 source=$data/red-kitchen
 if [ ! -d "$source" ]; then
-  source=$work/office length=180 step=120
+  source=$work/office length=180 step=120 coarse='--resolution 0.1'
   [ -d "$source" ] || "$bin" monogrid synth office --frames 500 --max-frames $((length + 2 * step)) --depth-every 0 --truth-resolution 0.4 \
     --quick-light --size 320x240 --out "$source"
 fi
@@ -52,7 +52,7 @@ timed() {
 }
 
 # part K: the options of a run on a part of the source.
-part() { echo "--start $(($1 * step)) --max-frames $length"; }
+part() { echo "--start $(($1 * step)) --max-frames $length $coarse"; }
 
 ip link add hub type bridge
 ip link set hub up
@@ -89,8 +89,8 @@ done
 
 trap 'kill "$server" "${agents[@]}" 2>/dev/null || true; [ -n "${WORK:-}" ] || rm -rf "$work"' EXIT
 
-# The link of b: down when its first keyframes have gone, up after the cut.
-until grep -sq 'keyframe 2 at' "$work/agent-1.log"; do
+# The link of b: down when it has said where a keyframe is, up after the cut.
+until grep -sq 'keyframe [0-9]* at' "$work/agent-1.log"; do
   kill -0 "${agents[1]}"
   sleep 0.2
 done

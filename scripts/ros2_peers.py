@@ -333,7 +333,10 @@ def film(participant, sequence_folder):
     if not saved.success:
         sys.exit(f"save: {saved}")
     wait_for("what was saved", lambda: is_saved(heard, Path(saved.message)), 60)
-    wait_for("all whole maps", lambda: heard.wholes() == int(heard.fact("whole maps sent")), 60)
+    try:
+        wait_for("all whole maps", lambda: heard.wholes() == int(heard.fact("whole maps sent")), 60)
+    except SystemExit as late:
+        sys.exit(f"{late}: {heard.fact('whole maps sent')} were sent; arrived: {heard.counts}")
     for fact in heard.last["diagnostics"].status[0].values:
         print(f"  {fact.key}: {fact.value}")
     print(f"arrived: {heard.counts}; load {os.getloadavg()}")
