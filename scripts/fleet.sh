@@ -4,11 +4,17 @@
 #
 #   scripts/fleet.sh
 #
-# The sources are thirds of red-kitchen (of scripts/data.sh). Needs root and `ip` (iproute2) for namespaces, veth pairs and a bridge, which are in a
-# namespace of their own and gone at the end. BIN: another binary of monogrid-fleet; CUT: seconds of the cut; WORK: a folder where the
-# results are kept.
+# The sources are thirds of red-kitchen (of scripts/data.sh); where there is none, parts of a room that it renders. Needs root and `ip` (iproute2) for
+# namespaces, veth pairs and a bridge, which are in a namespace of their own and gone at the end. BIN: another binary of monogrid-fleet, built otherwise;
+# CUT: seconds of the cut; WORK: a folder where the results are kept.
 set -euo pipefail
 cd "$(dirname "$0")/.."
+
+if [ -z "${BIN:-}" ]; then
+  # there is no network for it inside
+  cargo build --quiet --release --locked -p monogrid-fleet
+  export BIN=${CARGO_TARGET_DIR:-target}/release/monogrid-fleet
+fi
 
 # Everything below runs in a network namespace that ends with this script.
 if [ "${1:-}" != inside ]; then
@@ -19,11 +25,24 @@ mount -t tmpfs tmpfs /run
 mkdir -p /run/netns
 
 . scripts/common.sh
-bin=$(realpath "${BIN:-target/release/monogrid-fleet}")
-work=$(realpath "${WORK:-$(mktemp -d)}")
+bin=$(realpath "$BIN")
+work=${WORK:-}
+if [ -z "$work" ]; then
+  work=$(mktemp -d)
+  trap 'rm -rf "$work"' EXIT
+fi
+mkdir -p "$work"
+work=$(realpath "$work")
 cut=${CUT:-20}
-source=$(realpath "$data/red-kitchen")
-third=211
+# frames of an agent, and from one agent to the next
+length=211 step=211 coarse=
+source=$data/red-kitchen
+if [ ! -d "$source" ]; then
+  source=$work/office length=180 step=120 coarse='--resolution 0.1'
+  [ -d "$source" ] || "$bin" monogrid synth office --frames 500 --max-frames $((length + 2 * step)) --depth-every 0 --truth-resolution 0.4 \
+    --quick-light --size 320x240 --out "$source"
+fi
+source=$(realpath "$source")
 
 # timed FILE COMMAND...: its seconds of CPU, user and system, children included, in FILE; what it says in FILE.log.
 timed() {
@@ -32,8 +51,8 @@ timed() {
   { time "$@" >/dev/null 2>"$file.log"; } 2>"$file" || { tail -5 "$file.log" >&2 && return 1; }
 }
 
-# third K: the options of a run on a third of the source.
-third() { echo "--start $(($1 * third)) --max-frames $third"; }
+# part K: the options of a run on a part of the source.
+part() { echo "--start $(($1 * step)) --max-frames $length $coarse"; }
 
 ip link add hub type bridge
 ip link set hub up
@@ -55,7 +74,7 @@ names=(a b c)
 rm -rf "$work"/agent-* "$work/server"
 # shellcheck disable=SC2046 # options are words
 for k in 0 1 2; do
-  [ -s "$work/alone-$k" ] || timed "$work/alone-$k" "$bin" monogrid run "$source" $(third $k) --out "$work/alone-$k-run"
+  [ -s "$work/alone-$k" ] || timed "$work/alone-$k" "$bin" monogrid run "$source" $(part $k) --out "$work/alone-$k-run"
 done
 ip netns exec server "$bin" server --listen tcp/10.0.0.1:7447 --out "$work/server" --until-ended 3 2>"$work/server.log" &
 server=$!
@@ -64,14 +83,14 @@ agents=()
 # shellcheck disable=SC2046
 for k in 0 1 2; do
   timed "$work/agent-$k" ip netns exec "${names[k]}" "$bin" agent "$source" --name "${names[k]}" --connect tcp/10.0.0.1:7447 \
-    --out "$work/agent-$k-run" -- $(third $k) &
+    --out "$work/agent-$k-run" -- $(part $k) &
   agents+=($!)
 done
 
-trap 'kill "$server" "${agents[@]}" 2>/dev/null || true' EXIT
+trap 'kill "$server" "${agents[@]}" 2>/dev/null || true; [ -n "${WORK:-}" ] || rm -rf "$work"' EXIT
 
-# The link of b: down when its first keyframes have gone, up after the cut.
-until grep -sq 'keyframe 2 at' "$work/agent-1.log"; do
+# The link of b: down when it has said where a keyframe is, up after the cut.
+until grep -sq 'keyframe [0-9]* at' "$work/agent-1.log"; do
   kill -0 "${agents[1]}"
   sleep 0.2
 done

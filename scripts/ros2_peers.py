@@ -333,7 +333,10 @@ def film(participant, sequence_folder):
     if not saved.success:
         sys.exit(f"save: {saved}")
     wait_for("what was saved", lambda: is_saved(heard, Path(saved.message)), 60)
-    wait_for("all whole maps", lambda: heard.wholes() == int(heard.fact("whole maps sent")), 60)
+    try:
+        wait_for("all whole maps", lambda: heard.wholes() == int(heard.fact("whole maps sent")), 60)
+    except SystemExit as late:
+        sys.exit(f"{late}: {heard.fact('whole maps sent')} were sent; arrived: {heard.counts}")
     for fact in heard.last["diagnostics"].status[0].values:
         print(f"  {fact.key}: {fact.value}")
     print(f"arrived: {heard.counts}; load {os.getloadavg()}")
@@ -365,7 +368,7 @@ def ask(participant, service, request, response):
     # one server for each way to write a service
     wait_for(f"service {service}", lambda: len(writer.get_matched_subscriptions()) == 2)
     wait_for(f"service {service}", lambda: len(reader.get_matched_publications()) == 2)
-    # an answer is lost where the server has not yet seen who reads it: whoever asks in ROS asks again
+    # the node waits for the reader; on a busy computer a request may still be lost
     for patience in (3, 20):
         writer.write(request)
         try:

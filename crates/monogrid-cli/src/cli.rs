@@ -6,7 +6,7 @@ use crate::commands::runs::{batch, demo, export, merge_runs, report, rescale, ru
 use crate::commands::sources::{calibrate, cameras, check, synth};
 use crate::commands::{shell, with_numbers};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-use monogrid_app::process::console::printable;
+use monogrid_app::process::console::{LogArgs, printable};
 use monogrid_thesis::ThesisCommand;
 use std::ffi::OsString;
 
@@ -17,6 +17,9 @@ pub struct Cli {
     /// What to do
     #[command(subcommand)]
     pub command: Command,
+    /// What it says of it
+    #[command(flatten)]
+    pub log: LogArgs,
 }
 
 impl Cli {

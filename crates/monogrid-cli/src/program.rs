@@ -28,6 +28,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Ok(cli) => cli,
         Err(error) => return failure::usage(&error),
     };
+    cli.log.begin("monogrid");
     talk::begin("working");
     let result = failure::caught(|| execute(&cli));
     // nothing is drawn behind the last word

@@ -30,6 +30,7 @@ mod fixed;
 mod gpmf;
 mod images;
 mod imu;
+mod log_line;
 mod phone_logs;
 mod places;
 mod printable;
@@ -55,6 +56,7 @@ pub use images::{
     read_mask, read_rgb, read_rgb_in,
 };
 pub use imu::{ImuCalibration, ImuFile, write_imu};
+pub use log_line::log_line;
 pub use places::{GlobalPlace, TimedPlace, places_of_photographs, read_places_of_subtitles};
 pub use printable::{is_obeyed, printable};
 pub use recording::{

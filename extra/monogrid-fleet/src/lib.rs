@@ -11,6 +11,7 @@
 #![deny(missing_docs)]
 
 pub mod agent;
+pub mod config;
 pub mod messages;
 pub mod network;
 pub mod packet;

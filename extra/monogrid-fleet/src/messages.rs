@@ -18,6 +18,8 @@ use std::str::FromStr;
 
 /// Start of all keys, with their version.
 pub const PREFIX: &str = "monogrid/fleet/1";
+/// What news of agents and servers begin with that should be looked at.
+pub const WARNING: &str = "warning: ";
 
 /// Which run of which agent.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -1,18 +1,20 @@
 //! The command line.
-#![allow(clippy::print_stderr, reason = "this is the program")]
 
 use crate::agent::{Agent, AgentConfig, Delivered};
+use crate::config::with_file;
+use crate::messages::WARNING;
 use crate::network::connections;
 use crate::panics::Panics;
 use crate::server::{APART, JoiningConfig, Limits, Server, ServerConfig};
 use anyhow::Context as _;
-use clap::{Args, Parser};
-use monogrid_datasets::printable;
+use clap::builder::PossibleValue;
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use monogrid_app::process::console::LogArgs;
 use std::ffi::OsString;
 use std::net::SocketAddr;
 use std::panic::AssertUnwindSafe;
 use std::path::PathBuf;
-use std::process::{Child, Command};
+use std::process::{self, Child};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
@@ -20,7 +22,18 @@ use std::time::Duration;
 /// Several cameras, one map: agents that run alone, and a server that joins what they see
 #[derive(Debug, Parser)]
 #[command(name = "monogrid-fleet", version, max_term_width = 110)]
-pub enum Cli {
+pub struct Cli {
+    /// What to do
+    #[command(subcommand)]
+    pub command: Command,
+    /// What it says of it
+    #[command(flatten)]
+    pub log: LogArgs,
+}
+
+/// The commands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
     /// Run `monogrid run` on a source and deliver its keyframes to a server, as far as there is a
     /// way to it
     Agent(AgentArgs),
@@ -73,6 +86,9 @@ pub struct AgentArgs {
     /// rest later
     #[arg(long, value_name = "SECONDS", default_value_t = 600)]
     pub give_up_after: u64,
+    /// Options from a file (TOML): max_rate = 90 is --max-rate 90; the command line holds over it
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
     /// Further options of `monogrid run`, behind --
     #[arg(last = true)]
     pub run: Vec<OsString>,
@@ -87,7 +103,8 @@ pub struct ServerArgs {
     /// Settings of Zenoh (JSON5): TLS, access control; other options stand over what they name
     #[arg(long, value_name = "FILE")]
     pub zenoh_config: Option<PathBuf>,
-    /// Where Prometheus reads how the server is, at /metrics; whoever reaches the address can read
+    /// Where Prometheus reads how the server is, at /metrics, and whether it works, at /health;
+    /// whoever reaches the address can read
     #[arg(long, value_name = "ADDRESS:PORT")]
     pub metrics: Option<SocketAddr>,
     /// Runs of all agents at most; of one agent a quarter
@@ -128,6 +145,9 @@ pub struct ServerArgs {
     /// End when so many runs have ended and all of them is here [default: when interrupted]
     #[arg(long, value_name = "N")]
     pub until_ended: Option<usize>,
+    /// Options from a file (TOML): max_runs = 8 is --max-runs 8; the command line holds over it
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
     /// Further options of `monogrid merge-runs`, behind --
     #[arg(last = true)]
     pub merge: Vec<OsString>,
@@ -142,6 +162,13 @@ fn rate(text: &str) -> Result<f64, String> {
 /// Does what a command line asks for, the name of the program first; the exit code: that of the run
 /// for an agent, 1 where not everything could be delivered.
 pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    let arguments = match with_file(arguments.into_iter().collect()) {
+        Ok(arguments) => arguments,
+        Err(error) => {
+            tell(&format!("error: {error}"));
+            return 2;
+        }
+    };
     let cli = match Cli::try_parse_from(arguments) {
         Ok(cli) => cli,
         Err(error) => {
@@ -153,10 +180,16 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
             return 0;
         }
     };
-    let result = match cli {
-        Cli::Agent(args) => agent(&args),
-        Cli::Server(args) => server(args),
-        Cli::Monogrid { arguments } => {
+    let log = cli.log;
+    let is_program = matches!(cli.command, Command::Monogrid { .. });
+    if !is_program {
+        // the program says things itself
+        log.begin("monogrid-fleet");
+    }
+    let result = match cli.command {
+        Command::Agent(args) => agent(&args, log),
+        Command::Server(args) => server(args),
+        Command::Monogrid { arguments } => {
             let name = OsString::from("monogrid");
             return monogrid_cli::program::main(std::iter::once(name).chain(arguments));
         }
@@ -167,9 +200,17 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     })
 }
 
-/// To people. Names and reasons may come from agents, servers and files.
+/// To whoever looks after it. Names and reasons may come from agents, servers and files.
 fn tell(text: &str) {
-    eprintln!("{}", printable(text));
+    monogrid_app::eprintln!("{text}");
+}
+
+/// What an agent or a server says; how bad it is comes first.
+fn tell_of(who: &str, news: &str) {
+    match news.strip_prefix(WARNING) {
+        Some(news) => tell(&format!("{WARNING}{who}: {news}")),
+        None => tell(&format!("{who}: {news}")),
+    }
 }
 
 /// This program as `monogrid`.
@@ -188,7 +229,7 @@ fn interrupted() -> anyhow::Result<Arc<AtomicUsize>> {
     Ok(count)
 }
 
-fn agent(args: &AgentArgs) -> anyhow::Result<u8> {
+fn agent(args: &AgentArgs, log: LogArgs) -> anyhow::Result<u8> {
     let config = AgentConfig {
         name: args.name.clone(),
         connect: args.connect.clone(),
@@ -201,7 +242,7 @@ fn agent(args: &AgentArgs) -> anyhow::Result<u8> {
         (Some(recording), ..) => (recording.clone(), None),
         (None, Some(source), Some(out)) => (
             out.join("recording.mgk"),
-            Some(Run::start(source, out, args)?),
+            Some(Run::start(source, out, args, log)?),
         ),
         _ => anyhow::bail!("expected a source and --out, or --follow"),
     };
@@ -212,7 +253,7 @@ fn agent(args: &AgentArgs) -> anyhow::Result<u8> {
         None => true,
     };
     let name = &args.name;
-    let worked = agent.work(is_over, &mut |news| tell(&format!("{name}: {news}")));
+    let worked = agent.work(is_over, &mut |news| tell_of(name, &news));
     let run_code = run.as_mut().map_or(Ok(0), Run::code)?;
     let delivered = worked?;
     tell(&format!("{name}: {}", summary(&delivered)));
@@ -228,11 +269,24 @@ struct Run {
 }
 
 impl Run {
-    fn start(source: &PathBuf, out: &PathBuf, args: &AgentArgs) -> anyhow::Result<Self> {
+    fn start(
+        source: &PathBuf,
+        out: &PathBuf,
+        args: &AgentArgs,
+        log: LogArgs,
+    ) -> anyhow::Result<Self> {
         let program = monogrid()?;
-        let mut command = Command::new(&program[0]);
+        let mut command = process::Command::new(&program[0]);
         command.args(&program[1..]).arg("run").arg(source);
-        command.arg("--out").arg(out).args(&args.run);
+        command.arg("--out").arg(out);
+        let form = log.log.to_possible_value();
+        let level = log.log_level.to_possible_value();
+        for (option, value) in [("--log", form), ("--log-level", level)] {
+            command
+                .arg(option)
+                .args(value.as_ref().map(PossibleValue::get_name));
+        }
+        command.args(&args.run);
         #[cfg(unix)]
         // an interrupt from the terminal is for this process, which passes it on
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
@@ -310,7 +364,7 @@ fn server(args: ServerArgs) -> anyhow::Result<u8> {
     };
     let interrupted = interrupted()?;
     let map = config.out.join("map");
-    let say = &mut |news: String| tell(&format!("server: {news}"));
+    let say = &mut |news: String| tell_of("server", &news);
     let mut server = Server::start(config, say)?;
     say(format!("listens; {} connections at most", connections()));
     let dies = std::env::var(DIES).ok();

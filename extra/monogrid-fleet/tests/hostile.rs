@@ -659,6 +659,8 @@ fn over_tls_a_wrong_certificate_is_refused_and_the_right_one_works() {
         );
         thread::sleep(Duration::from_millis(100));
     }
+    assert!(answered(metrics, "/health").starts_with("HTTP/1.1 200 OK"));
+    assert!(answered(metrics, "/").starts_with("HTTP/1.1 404 "));
     let (fleet, _) = serving.end();
     assert!(fleet.agents.len() == 1 && fleet.agents[0].has_ended);
 }
@@ -669,14 +671,18 @@ fn loopback_port() -> SocketAddr {
     listener.local_addr().unwrap()
 }
 
-/// What Prometheus reads.
-fn scraped(address: SocketAddr) -> String {
+/// The answer to a question.
+fn answered(address: SocketAddr, path: &str) -> String {
     let mut stream = TcpStream::connect(address).unwrap();
-    stream
-        .write_all(b"GET /metrics HTTP/1.1\r\nHost: fleet\r\n\r\n")
-        .unwrap();
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: fleet\r\n\r\n").unwrap();
     let mut answer = String::new();
     stream.read_to_string(&mut answer).unwrap();
+    answer
+}
+
+/// What Prometheus reads.
+fn scraped(address: SocketAddr) -> String {
+    let answer = answered(address, "/metrics");
     assert!(answer.starts_with("HTTP/1.1 200 OK"), "{answer}");
     answer
 }

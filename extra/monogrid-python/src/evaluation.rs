@@ -2,17 +2,22 @@
 
 use crate::arrays::{contiguous, dictionary, rigid};
 use crate::errors::value;
+use crate::interrupt::wait_for;
 use crate::map::OccupancyMap;
 use monogrid::evaluation::{
     self, MapEvaluationConfig, StampedPose, TrajectoryAlignment, TrajectoryConfig, TruthGrid,
 };
 use numpy::{Ix1, Ix3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
-use std::sync::Arc;
 
 /// Most cells of the box of a true map, two bits each.
 const MAX_TRUE_CELLS: u64 = 4_000_000_000;
 
+/// ATE and RPE as `evo` computes them, scale drift, coverage, as `monogrid evaluate trajectory
+/// --json` prints them.
+///
+/// Times in seconds, shape (n,); poses `world_from_camera`, shape (n, 4, 4). `align`: "sim3", "se3"
+/// or "none".
 #[pyfunction]
 #[pyo3(signature = (
     times, poses, true_times, true_poses, *, align = "sim3", max_difference = 0.01
@@ -41,7 +46,8 @@ pub fn evaluate_trajectory<'py>(
         ..TrajectoryConfig::default()
     };
     let (estimate, truth) = (stamped(times, poses)?, stamped(true_times, true_poses)?);
-    let report = py.detach(|| evaluation::evaluate_trajectory(&estimate, &truth, &config));
+    let evaluate = move || evaluation::evaluate_trajectory(&estimate, &truth, &config);
+    let report = wait_for(py, evaluate)?;
     dictionary(py, &report.map_err(value)?)
 }
 
@@ -62,6 +68,11 @@ fn stamped(times: &Bound<PyAny>, poses: &Bound<PyAny>) -> PyResult<Vec<StampedPo
         .collect()
 }
 
+/// ROC, AUC, MCC, calibration and distances under four rules for unknown cells, as `monogrid
+/// evaluate map --json` prints them.
+///
+/// The truth has cells of the same size, or of a whole fraction of it. Keys: `policies` (each with
+/// `roc`), `surface`, ...
 #[pyfunction]
 #[pyo3(signature = (estimate, truth, *, tolerance = None))]
 pub fn evaluate_map<'py>(
@@ -70,8 +81,8 @@ pub fn evaluate_map<'py>(
     truth: PyRef<OccupancyMap>,
     tolerance: Option<f64>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let (estimate, truth) = (Arc::clone(&estimate.map), Arc::clone(&truth.map));
-    let report = py.detach(|| {
+    let (estimate, truth) = (estimate.snapshot(py), truth.snapshot(py));
+    let report = wait_for(py, move || {
         let truth = TruthGrid::from_map(&truth, MAX_TRUE_CELLS).map_err(value)?;
         let truth = truth.with_cells_of(&estimate).map_err(value)?;
         let config = MapEvaluationConfig {
@@ -80,5 +91,5 @@ pub fn evaluate_map<'py>(
         };
         evaluation::evaluate_map(&estimate, &truth, &config).map_err(value)
     });
-    dictionary(py, &report?)
+    dictionary(py, &report??)
 }

@@ -1,14 +1,19 @@
 //! An inertial sensor beside the camera.
 
-use crate::arrays::{contiguous, pose_of, rigid, rows};
+use crate::arrays::{contiguous, matrix, pose_of, rigid, rows, square};
 use crate::errors::value;
 use monogrid::geometry::Vec3;
 use monogrid::inertial::{ImuNoise, ImuSample};
-use numpy::{Ix1, Ix2};
+use numpy::{Ix1, Ix2, PyArray2};
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 use std::sync::Arc;
 
-/// Where a sensor sits, and how well it reads.
+/// An inertial sensor beside the camera: how it is mounted, and its noise as densities (rad/s/√Hz,
+/// m/s²/√Hz, rad/s²/√Hz, m/s³/√Hz; by default those of a phone).
+///
+/// imu_from_camera: shape (4, 4), metres; without it the axes of the sensor are taken to be the
+/// camera's (x right, y down, z ahead).
 #[pyclass(module = "monogrid", frozen)]
 pub struct Imu {
     /// Without readings.
@@ -46,6 +51,24 @@ impl Imu {
         let mount = rigid(&pose_of(imu_from_camera)?)?;
         let imu = monogrid::inertial::Imu::new(Vec::new(), noise, mount);
         Ok(Self { imu: Arc::new(imu) })
+    }
+
+    /// For pickle and copy.
+    fn __getnewargs_ex__<'py>(
+        &self,
+        py: Python<'py>,
+    ) -> PyResult<((Bound<'py, PyArray2<f64>>,), Bound<'py, PyDict>)> {
+        let (mount, noise) = (matrix(&self.imu.imu_from_camera), self.imu.noise);
+        let keywords = PyDict::new(py);
+        for (name, density) in [
+            ("gyroscope_noise", noise.gyroscope),
+            ("accelerometer_noise", noise.accelerometer),
+            ("gyroscope_walk", noise.gyroscope_walk),
+            ("accelerometer_walk", noise.accelerometer_walk),
+        ] {
+            keywords.set_item(name, density)?;
+        }
+        Ok(((square(py, &mount)?,), keywords))
     }
 
     fn __repr__(&self) -> String {

@@ -8,14 +8,15 @@ mod arrays;
 mod errors;
 mod evaluation;
 mod inertial;
+mod interrupt;
 mod map;
 mod slam;
 
 use pyo3::prelude::*;
 use std::ffi::OsString;
 
-/// Does what a command line asks for (the name of the program first); the exit code. Takes the
-/// whole process.
+/// Does what a command line asks for, the name of the program first; the exit code. Takes the whole
+/// process.
 #[pyfunction]
 fn main(py: Python, arguments: Vec<OsString>) -> u8 {
     py.detach(|| monogrid_cli::program::main(arguments))

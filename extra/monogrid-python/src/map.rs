@@ -2,20 +2,21 @@
 
 use crate::arrays::{Kind, contiguous, kind_of, pose_of, rows, triples};
 use crate::errors::{of_map, type_of, value};
+use crate::interrupt::{look_at, wait_for};
 use monogrid::occupancy::{
     self, DepthPixel, DepthScan, DistanceConfig, IntegrationConfig, IntegrationRule, MapConfig,
     MapFormat, Occupancy, PoseSigma, RayHit, Scan, ScanData, Similarity, UnknownCells, VoxelKey,
-    integrate, read_map, save_atomically,
+    integrate, read_map, read_mgo, save_atomically, write_mgo,
 };
 use numpy::{
     IntoPyArray, Ix1, Ix2, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyBytes, PyDict, PyType};
 use std::fs::File;
 use std::io::BufReader;
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard};
 
 type Array1<'py, T> = Bound<'py, PyArray1<T>>;
 type Array2<'py, T> = Bound<'py, PyArray2<T>>;
@@ -23,21 +24,26 @@ type Array2<'py, T> = Bound<'py, PyArray2<T>>;
 /// Most cells of a dense array.
 const MAX_DENSE_CELLS: u64 = 1 << 30;
 
-/// Log-odds per cell; shared with whoever looks at it until one of them writes.
-#[pyclass(module = "monogrid")]
-#[derive(Clone)]
+/// Log-odds of occupancy per cell, compatible with OctoMap. Lengths are in map units (metres, if
+/// the measurements are).
+///
+/// memory_budget: bytes that the map may take (default: 8 GiB); MemoryError where a scan would need
+/// more. Several threads may look at a map at once, and change it in turn. It can be pickled and
+/// copied.
+#[pyclass(module = "monogrid", frozen)]
 pub struct OccupancyMap {
-    pub map: Arc<occupancy::OccupancyMap>,
+    inner: Arc<RwLock<Inner>>,
+}
+
+/// A map, shared with whoever looks at it until one of them writes.
+struct Inner {
+    map: Arc<occupancy::OccupancyMap>,
     next_scan: u32,
 }
 
-impl OccupancyMap {
-    pub fn of(map: Arc<occupancy::OccupancyMap>) -> Self {
-        Self { map, next_scan: 0 }
-    }
-
-    /// Adds a scan without Python's lock; how many measurements were used.
-    fn add(&mut self, py: Python, how: &How, data: ScanData, world: Similarity) -> PyResult<usize> {
+impl Inner {
+    /// Adds a scan; how many measurements were used.
+    fn add(&mut self, how: &How, data: ScanData, world: Similarity) -> PyResult<usize> {
         let scan = Scan {
             id: self.next_scan,
             world_from_sensor: world,
@@ -45,9 +51,53 @@ impl OccupancyMap {
             data,
         };
         let map = Arc::make_mut(&mut self.map);
-        let report = py.detach(|| integrate(map, &scan, &how.config, how.threads));
+        let report = integrate(map, &scan, &how.config, how.threads);
         self.next_scan = self.next_scan.wrapping_add(1);
         report.map(|report| report.points).map_err(of_map)
+    }
+}
+
+/// Bytes, bytes of the budget, and the number of the next scan.
+type State<'py> = (Bound<'py, PyBytes>, usize, u32);
+
+fn read(inner: &RwLock<Inner>) -> RwLockReadGuard<'_, Inner> {
+    inner.read().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl OccupancyMap {
+    pub fn of(map: Arc<occupancy::OccupancyMap>) -> Self {
+        let next_scan = 0;
+        let inner = Inner { map, next_scan };
+        Self {
+            inner: Arc::new(RwLock::new(inner)),
+        }
+    }
+
+    /// The map as it is now.
+    pub fn snapshot(&self, py: Python) -> Arc<occupancy::OccupancyMap> {
+        py.detach(|| Arc::clone(&read(&self.inner).map))
+    }
+
+    /// Looks at it, while others may look too.
+    fn look<T: Send + 'static>(
+        &self,
+        py: Python,
+        look: impl FnOnce(&occupancy::OccupancyMap) -> T + Send + 'static,
+    ) -> PyResult<T> {
+        let inner = Arc::clone(&self.inner);
+        wait_for(py, move || look(&read(&inner).map))
+    }
+
+    /// Changes it, while nobody looks.
+    fn change<T: Send + 'static>(
+        &self,
+        py: Python,
+        change: impl FnOnce(&mut Inner) -> T + Send + 'static,
+    ) -> PyResult<T> {
+        let inner = Arc::clone(&self.inner);
+        wait_for(py, move || {
+            change(&mut inner.write().unwrap_or_else(PoisonError::into_inner))
+        })
     }
 }
 
@@ -149,34 +199,51 @@ fn code(state: Occupancy) -> i8 {
 #[pymethods]
 impl OccupancyMap {
     #[new]
-    #[pyo3(signature = (resolution = 0.05))]
-    fn new(resolution: f64) -> PyResult<Self> {
-        let map = occupancy::OccupancyMap::new(MapConfig::with_resolution(resolution));
+    #[pyo3(signature = (resolution = 0.05, *, memory_budget = None))]
+    fn new(resolution: f64, memory_budget: Option<usize>) -> PyResult<Self> {
+        let config = MapConfig::with_resolution(resolution);
+        let memory_budget_bytes = memory_budget.unwrap_or(config.memory_budget_bytes);
+        let map = occupancy::OccupancyMap::new(MapConfig {
+            memory_budget_bytes,
+            ..config
+        });
         Ok(Self::of(Arc::new(map.map_err(of_map)?)))
     }
 
+    /// Reads `.ot`, `.bt` (OctoMap) or `.mgo`, whatever the name.
     #[staticmethod]
     fn read(py: Python, path: PathBuf) -> PyResult<Self> {
         let file = File::open(&path)?;
         let bytes = file.metadata()?.len();
-        let map = py.detach(|| read_map(BufReader::new(file), bytes));
+        let map = wait_for(py, move || read_map(BufReader::new(file), bytes))?;
         let (map, _) = map.map_err(|error| value(format!("map {}: {error}", path.display())))?;
         Ok(Self::of(Arc::new(map)))
     }
 
+    /// Writes `.ot`, `.bt`, `.mgo`, `.ply` or `.pcd`; a file that exists is replaced whole or not
+    /// at all.
     fn write(&self, py: Python, path: PathBuf) -> PyResult<()> {
         let format = MapFormat::from_name(&path, &MapFormat::ALL).map_err(of_map)?;
-        let save = || save_atomically(&path, |file| format.write(&self.map, file));
-        py.detach(save).map_err(of_map)
+        let save = move |map: &occupancy::OccupancyMap| {
+            save_atomically(&path, |file| format.write(map, file))
+        };
+        self.look(py, save)?.map_err(of_map)
     }
 
+    /// Adds a scan; how many points were used.
+    ///
+    /// points: shape (n, 3), in the frame of the sensor (read without a copy if float32), or, with
+    /// `origin`, in that of the map. pose: `map_from_sensor`, shape (4, 4). sigma: standard
+    /// deviation of each range, or one for all, positive (default: half a cell). Points that are
+    /// not finite are left out. ValueError or TypeError where anything else is not what is
+    /// expected. rule: "fused" for scans that cover surfaces, "rays" for lone points.
     #[pyo3(signature = (
         points, pose = None, *, origin = None, sigma = None, rule = "fused", max_range = None,
         threads = None
     ))]
     #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
     fn insert(
-        &mut self,
+        &self,
         points: &Bound<PyAny>,
         pose: Option<&Bound<PyAny>>,
         origin: Option<[f64; 3]>,
@@ -202,20 +269,26 @@ impl OccupancyMap {
                 translation: origin,
                 ..Similarity::IDENTITY
             };
-            return self.insert_points(py, &how, &points, sigma, world);
+            return self.insert_points(py, how, points, sigma, world);
         }
         let array = contiguous::<f32, Ix2>(points, "(n, 3)")?;
         let world = similarity(&pose_of(pose)?);
-        self.insert_points(py, &how, rows(&array, "points")?, sigma, world)
+        self.insert_points(py, how, rows(&array, "points")?.to_vec(), sigma, world)
     }
 
+    /// Adds a depth image; how many pixels were used.
+    ///
+    /// depth: shape (height, width), along the optical axis, 0 or NaN where unknown; floats are
+    /// metres, integers need a `depth_scale`: metres of a unit (0.001 for millimetres), or units of
+    /// a metre (1000; 5000 for TUM RGB-D). TypeError without it. pose: `map_from_camera` (x right,
+    /// y down, z forward), shape (4, 4). relative_sigma: standard deviation as a part of the depth.
     #[pyo3(signature = (
         depth, fx, fy, cx, cy, pose = None, *, depth_scale = None, relative_sigma = 0.01,
         rule = "fused", max_range = None, threads = None
     ))]
     #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
     fn insert_depth(
-        &mut self,
+        &self,
         depth: &Bound<PyAny>,
         fx: f64,
         fy: f64,
@@ -245,28 +318,34 @@ impl OccupancyMap {
         let world = similarity(&pose_of(pose)?);
         let values = array.as_slice()?;
         let pixels = py.detach(|| depth_pixels(values, width, metres, relative_sigma as f32));
-        let scan = DepthScan {
-            width: width as u32,
-            height: height as u32,
-            fx,
-            fy,
-            cx,
-            cy,
-            pixels: &pixels,
-        };
-        self.add(py, &how, ScanData::Depth(scan), world)
+        self.change(py, move |inner| {
+            let scan = DepthScan {
+                width: width as u32,
+                height: height as u32,
+                fx,
+                fy,
+                cx,
+                cy,
+                pixels: &pixels,
+            };
+            inner.add(&how, ScanData::Depth(scan), world)
+        })?
     }
 
+    /// Of each point, shape (n, 3): 1 occupied, 0 free, -1 unknown.
     fn state<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Array1<'py, i8>> {
-        let states = each(points, |point| code(self.map.state(point)))?;
+        let states = each(&self.inner, points, |inner, p| code(inner.map.state(p)))?;
         Ok(states.into_pyarray(points.py()))
     }
 
+    /// Of each point, shape (n, 3); NaN where unknown.
     fn log_odds<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Array1<'py, f32>> {
-        let log_odds = each(points, |point| self.map.log_odds(point).unwrap_or(f32::NAN))?;
+        let log_odds = |inner: &Inner, p| inner.map.log_odds(p).unwrap_or(f32::NAN);
+        let log_odds = each(&self.inner, points, log_odds)?;
         Ok(log_odds.into_pyarray(points.py()))
     }
 
+    /// Whether a ball around each point touches an occupied (or unknown) cell.
     #[pyo3(signature = (points, radius, *, unknown_blocks = false))]
     fn collides<'py>(
         &self,
@@ -275,10 +354,15 @@ impl OccupancyMap {
         unknown_blocks: bool,
     ) -> PyResult<Array1<'py, bool>> {
         let unknown = unknown_cells(unknown_blocks);
-        let collides = |point| self.map.sphere_collides(point, radius, unknown);
-        Ok(each(points, collides)?.into_pyarray(points.py()))
+        let collides = |inner: &Inner, p| inner.map.sphere_collides(p, radius, unknown);
+        let collides = each(&self.inner, points, collides)?;
+        Ok(collides.into_pyarray(points.py()))
     }
 
+    /// Range of the first occupied (or unknown) cell on each ray, infinite where there is none, and
+    /// its state (0: none).
+    ///
+    /// origins: shape (n, 3) or (1, 3) for all. directions: shape (n, 3), of any length.
     #[pyo3(signature = (origins, directions, max_range = 100.0, *, unknown_blocks = false))]
     fn cast_rays<'py>(
         &self,
@@ -299,20 +383,21 @@ impl OccupancyMap {
             )));
         }
         let unknown = unknown_cells(unknown_blocks);
-        let cast = |(k, direction): (usize, &[f64; 3])| {
+        let cast = |inner: &Inner, k: usize, direction: &[f64; 3]| {
             let origin = from[if from.len() == 1 { 0 } else { k }];
-            match self.map.cast_ray(origin, *direction, max_range, unknown) {
+            match inner.map.cast_ray(origin, *direction, max_range, unknown) {
                 RayHit::Occupied { range, .. } => (range, 1),
                 RayHit::Unknown { range, .. } => (range, -1),
                 RayHit::Nothing => (f64::INFINITY, 0),
                 RayHit::Invalid => (f64::NAN, 0),
             }
         };
-        let (ranges, states): (Vec<_>, Vec<_>) =
-            py.detach(|| along.iter().enumerate().map(cast).unzip());
+        let hits = look_at(py, &self.inner, along, cast)?;
+        let (ranges, states): (Vec<f64>, Vec<i8>) = hits.into_iter().unzip();
         Ok((ranges.into_pyarray(py), states.into_pyarray(py)))
     }
 
+    /// Distances to the nearest obstacle, up to `max_distance`.
     #[pyo3(signature = (max_distance = 1.0, *, unknown_blocks = false))]
     fn distance_field(
         &self,
@@ -324,29 +409,36 @@ impl OccupancyMap {
             max_distance,
             unknown: unknown_cells(unknown_blocks),
         };
-        let field = py.detach(|| occupancy::DistanceField::new(&self.map, config, all_threads()));
+        let field = self.look(py, move |map| {
+            occupancy::DistanceField::new(map, config, all_threads())
+        })?;
         Ok(DistanceField {
-            field: field.map_err(of_map)?,
+            field: Arc::new(RwLock::new(field.map_err(of_map)?)),
+            max_distance,
+            unknown_blocks,
         })
     }
 
+    /// Centres, shape (n, 3), and log-odds of all known cells, or of the free (0) or occupied (1)
+    /// ones.
     #[pyo3(signature = (state = None))]
     fn cells<'py>(
         &self,
         py: Python<'py>,
         state: Option<i8>,
     ) -> PyResult<(Array2<'py, f64>, Array1<'py, f32>)> {
-        let resolution = self.map.resolution();
-        let (centres, log_odds): (Vec<_>, Vec<_>) = py.detach(|| {
-            let cells = self.map.cells();
+        let (centres, log_odds): (Vec<[f64; 3]>, Vec<f32>) = self.look(py, move |map| {
+            let (cells, resolution) = (map.cells(), map.resolution());
             let wanted = cells.filter(|cell| state.is_none_or(|state| code(cell.state) == state));
             wanted
                 .map(|cell| (cell.key.center(resolution), cell.log_odds))
                 .unzip()
-        });
+        })?;
         Ok((triples(py, centres)?, log_odds.into_pyarray(py)))
     }
 
+    /// Log-odds of a box as an array [x, y, z], NaN where unknown, and the corner of its first
+    /// cell.
     #[pyo3(signature = (low = None, high = None))]
     fn dense<'py>(
         &self,
@@ -354,37 +446,20 @@ impl OccupancyMap {
         low: Option<[f64; 3]>,
         high: Option<[f64; 3]>,
     ) -> PyResult<(Bound<'py, PyArray3<f32>>, [f64; 3])> {
-        let resolution = self.map.resolution();
-        let Some((first, last)) = self.key_box(low, high)? else {
-            return Ok((
-                Vec::<f32>::new().into_pyarray(py).reshape([0, 0, 0])?,
-                [0.0; 3],
-            ));
-        };
-        let from_first =
-            |key: VoxelKey| [key.x - first.x, key.y - first.y, key.z - first.z].map(|n| n as usize);
-        let size = from_first(last).map(|n| n + 1);
-        let values = py.detach(|| {
-            let mut values = vec![f32::NAN; size.iter().product()];
-            for cell in self.map.cells_in_key_box(first, last) {
-                let [x, y, z] = from_first(cell.key);
-                values[(x * size[1] + y) * size[2] + z] = cell.log_odds;
-            }
-            values
-        });
-        let origin = [first.x, first.y, first.z].map(|n| f64::from(n) * resolution);
+        let (values, size, origin) = self.look(py, move |map| dense(map, low, high))??;
         Ok((values.into_pyarray(py).reshape(size)?, origin))
     }
 
+    /// Seen from above between two heights, as [row from below, column] (1, 0, -1), and the lower
+    /// left corner.
     fn project<'py>(
         &self,
         py: Python<'py>,
         low: f64,
         high: f64,
     ) -> PyResult<(Array2<'py, i8>, [f64; 2])> {
-        let seen = py
-            .detach(|| self.map.projected(low, high))
-            .map_err(of_map)?;
+        let seen = self.look(py, move |map| map.projected(low, high))?;
+        let seen = seen.map_err(of_map)?;
         let Some(seen) = seen else {
             return Ok((Vec::<i8>::new().into_pyarray(py).reshape([0, 0])?, [0.0; 2]));
         };
@@ -395,102 +470,187 @@ impl OccupancyMap {
         ))
     }
 
-    fn merge(&mut self, py: Python, other: PyRef<Self>) -> PyResult<()> {
-        let (map, other) = (Arc::make_mut(&mut self.map), Arc::clone(&other.map));
-        py.detach(|| map.merge(&other)).map_err(of_map)
+    /// Adds the log-odds of a map with cells of the same size.
+    fn merge(&self, py: Python, other: PyRef<Self>) -> PyResult<()> {
+        let other = other.snapshot(py);
+        let merge = move |inner: &mut Inner| Arc::make_mut(&mut inner.map).merge(&other);
+        self.change(py, merge)?.map_err(of_map)
     }
 
+    /// The part in a box.
     fn crop(&self, py: Python, low: [f64; 3], high: [f64; 3]) -> PyResult<Self> {
-        let map = py.detach(|| self.map.cropped(low, high)).map_err(of_map)?;
-        Ok(Self::of(Arc::new(map)))
+        let map = self.look(py, move |map| map.cropped(low, high))?;
+        Ok(Self::of(Arc::new(map.map_err(of_map)?)))
     }
 
-    fn copy(&self) -> Self {
-        self.clone()
+    /// The same map; cells are copied when one of the two is changed.
+    fn copy(&self, py: Python) -> Self {
+        py.detach(|| {
+            let inner = read(&self.inner);
+            let (map, next_scan) = (Arc::clone(&inner.map), inner.next_scan);
+            let inner = Arc::new(RwLock::new(Inner { map, next_scan }));
+            Self { inner }
+        })
     }
 
+    /// As `copy`.
+    fn __copy__(&self, py: Python) -> Self {
+        self.copy(py)
+    }
+
+    /// As `copy`.
+    fn __deepcopy__(&self, py: Python, _memo: &Bound<PyAny>) -> Self {
+        self.copy(py)
+    }
+
+    /// For pickle: exact.
+    fn __reduce__<'py>(
+        this: &Bound<'py, Self>,
+    ) -> PyResult<(Bound<'py, PyType>, (f64,), State<'py>)> {
+        let (py, inner) = (this.py(), Arc::clone(&this.get().inner));
+        let packed = wait_for(py, move || {
+            let (inner, mut bytes) = (read(&inner), Vec::new());
+            let written = write_mgo(&inner.map, &mut bytes);
+            let config = inner.map.config().clone();
+            written.map(|()| (bytes, config, inner.next_scan))
+        })?;
+        let (bytes, config, next_scan) = packed.map_err(of_map)?;
+        let state = (
+            PyBytes::new(py, &bytes),
+            config.memory_budget_bytes,
+            next_scan,
+        );
+        Ok((this.get_type(), (config.resolution,), state))
+    }
+
+    /// For pickle.
+    fn __setstate__(&self, py: Python, state: State) -> PyResult<()> {
+        let (bytes, budget, next_scan) = state;
+        let map = read_mgo(bytes.as_bytes(), budget).map_err(of_map)?;
+        self.change(py, move |inner| {
+            *inner = Inner {
+                map: Arc::new(map),
+                next_scan,
+            };
+        })
+    }
+
+    /// Edge of a cell.
     #[getter]
-    fn resolution(&self) -> f64 {
-        self.map.resolution()
+    fn resolution(&self, py: Python) -> f64 {
+        self.snapshot(py).resolution()
     }
 
+    /// Corners of the box of all known cells.
     #[getter]
-    fn bounds(&self) -> Option<([f64; 3], [f64; 3])> {
-        self.map.bounds()
+    fn bounds(&self, py: Python) -> PyResult<Option<([f64; 3], [f64; 3])>> {
+        self.look(py, |map| map.bounds())
     }
 
+    /// Number of occupied and of free cells.
     #[getter]
     fn counts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let counts = py.detach(|| self.map.cell_counts());
+        let counts = self.look(py, |map| map.cell_counts())?;
         let dictionary = PyDict::new(py);
         dictionary.set_item("occupied", counts.occupied)?;
         dictionary.set_item("free", counts.free)?;
         Ok(dictionary)
     }
 
-    fn __repr__(&self) -> String {
-        let counts = self.map.cell_counts();
-        format!(
-            "<monogrid.OccupancyMap: {} occupied and {} free cells of {}>",
-            counts.occupied,
-            counts.free,
-            self.map.resolution()
-        )
+    fn __repr__(&self, py: Python) -> PyResult<String> {
+        self.look(py, |map| {
+            let (counts, resolution) = (map.cell_counts(), map.resolution());
+            format!(
+                "<monogrid.OccupancyMap: {} occupied and {} free cells of {resolution}>",
+                counts.occupied, counts.free
+            )
+        })
     }
 }
 
 impl OccupancyMap {
     fn insert_points(
-        &mut self,
+        &self,
         py: Python,
-        how: &How,
-        points: &[[f32; 3]],
+        how: How,
+        points: Vec<[f32; 3]>,
         sigma: Option<&Bound<PyAny>>,
         world: Similarity,
     ) -> PyResult<usize> {
         let sigmas = match sigma {
             Some(sigma) => sigmas(sigma, points.len())?,
             // half a cell: what the map tells apart
-            None => vec![0.5 * self.map.resolution() as f32],
+            None => vec![0.5 * self.resolution(py) as f32],
         };
-        let scan = Scan::of_points(0, world, points, &sigmas);
-        self.add(py, how, scan.data, world)
-    }
-
-    /// The cells between two corners, by default all that are known; none of an empty map.
-    fn key_box(
-        &self,
-        low: Option<[f64; 3]>,
-        high: Option<[f64; 3]>,
-    ) -> PyResult<Option<(VoxelKey, VoxelKey)>> {
-        let known = self.map.key_bounds();
-        let key = |corner: [f64; 3]| {
-            let key = self.map.key(corner);
-            key.ok_or_else(|| value(format!("{corner:?} is not in reach of a map")))
-        };
-        let (Some(first), Some(last)) = (
-            low.map(key).transpose()?.or(known.map(|known| known.0)),
-            high.map(key).transpose()?.or(known.map(|known| known.1)),
-        ) else {
-            return Ok(None);
-        };
-        let sides = [(first.x, last.x), (first.y, last.y), (first.z, last.z)];
-        let sizes = sides.map(|(a, b)| u64::try_from(i64::from(b) - i64::from(a) + 1).unwrap_or(0));
-        let cells = sizes.into_iter().fold(1, u64::saturating_mul);
-        if cells == 0 || cells > MAX_DENSE_CELLS {
-            return Err(value(format!(
-                "a box of {sizes:?} cells, expected 1 to {MAX_DENSE_CELLS}"
-            )));
-        }
-        Ok(Some((first, last)))
+        self.change(py, move |inner| {
+            let scan = Scan::of_points(0, world, &points, &sigmas);
+            inner.add(&how, scan.data, world)
+        })?
     }
 }
 
-/// A value for every point of an array of shape (n, 3), without Python's lock.
-fn each<T: Send>(points: &Bound<PyAny>, of: impl Fn([f64; 3]) -> T + Sync) -> PyResult<Vec<T>> {
+/// The cells of a box as an array, its shape, and the corner of its first cell.
+type Dense = (Vec<f32>, [usize; 3], [f64; 3]);
+
+fn dense(
+    map: &occupancy::OccupancyMap,
+    low: Option<[f64; 3]>,
+    high: Option<[f64; 3]>,
+) -> PyResult<Dense> {
+    let Some((first, last)) = key_box(map, low, high)? else {
+        return Ok((Vec::new(), [0; 3], [0.0; 3]));
+    };
+    let from_first =
+        |key: VoxelKey| [key.x - first.x, key.y - first.y, key.z - first.z].map(|n| n as usize);
+    let size = from_first(last).map(|n| n + 1);
+    let mut values = vec![f32::NAN; size.iter().product()];
+    for cell in map.cells_in_key_box(first, last) {
+        let [x, y, z] = from_first(cell.key);
+        values[(x * size[1] + y) * size[2] + z] = cell.log_odds;
+    }
+    let origin = [first.x, first.y, first.z].map(|n| f64::from(n) * map.resolution());
+    Ok((values, size, origin))
+}
+
+/// The cells between two corners, by default all that are known; none of an empty map.
+fn key_box(
+    map: &occupancy::OccupancyMap,
+    low: Option<[f64; 3]>,
+    high: Option<[f64; 3]>,
+) -> PyResult<Option<(VoxelKey, VoxelKey)>> {
+    let known = map.key_bounds();
+    let key = |corner: [f64; 3]| {
+        let key = map.key(corner);
+        key.ok_or_else(|| value(format!("{corner:?} is not in reach of a map")))
+    };
+    let (Some(first), Some(last)) = (
+        low.map(key).transpose()?.or(known.map(|known| known.0)),
+        high.map(key).transpose()?.or(known.map(|known| known.1)),
+    ) else {
+        return Ok(None);
+    };
+    let sides = [(first.x, last.x), (first.y, last.y), (first.z, last.z)];
+    let sizes = sides.map(|(a, b)| u64::try_from(i64::from(b) - i64::from(a) + 1).unwrap_or(0));
+    let cells = sizes.into_iter().fold(1, u64::saturating_mul);
+    if cells == 0 || cells > MAX_DENSE_CELLS {
+        return Err(value(format!(
+            "a box of {sizes:?} cells, expected 1 to {MAX_DENSE_CELLS}"
+        )));
+    }
+    Ok(Some((first, last)))
+}
+
+/// A value for every point of an array of shape (n, 3).
+fn each<L: Send + Sync, T: Send>(
+    lock: &RwLock<L>,
+    points: &Bound<PyAny>,
+    of: impl Fn(&L, [f64; 3]) -> T + Sync,
+) -> PyResult<Vec<T>> {
     let array = contiguous::<f64, Ix2>(points, "(n, 3)")?;
-    let (rows, py) = (rows(&array, "points")?, points.py());
-    Ok(py.detach(|| rows.iter().map(|point| of(*point)).collect()))
+    let rows = rows(&array, "points")?;
+    look_at(points.py(), lock, rows, |looked_at, _, point| {
+        of(looked_at, *point)
+    })
 }
 
 fn similarity(rows: &[[f64; 4]; 4]) -> Similarity {
@@ -534,26 +694,47 @@ fn depth_pixels(depth: &[f32], width: usize, metres: f32, relative_sigma: f32) -
     known.map(pixel).collect()
 }
 
-/// Distances to the nearest obstacle.
-#[pyclass(module = "monogrid")]
+/// Distance from everywhere to the nearest obstacle; made by `OccupancyMap.distance_field`.
+#[pyclass(module = "monogrid", frozen)]
 pub struct DistanceField {
-    field: occupancy::DistanceField,
+    field: Arc<RwLock<occupancy::DistanceField>>,
+    max_distance: f64,
+    unknown_blocks: bool,
 }
 
 #[pymethods]
 impl DistanceField {
+    /// Of each point, shape (n, 3), from the centre of its cell; infinite beyond the reach.
     fn distance<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Array1<'py, f64>> {
-        let distance = |point| self.field.distance(point).unwrap_or(f64::INFINITY);
-        Ok(each(points, distance)?.into_pyarray(points.py()))
+        let distance =
+            |field: &occupancy::DistanceField, p| field.distance(p).unwrap_or(f64::INFINITY);
+        Ok(each(&self.field, points, distance)?.into_pyarray(points.py()))
     }
 
+    /// Direction in which the distance grows, shape (n, 3); NaN where there is none.
     fn gradient<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Array2<'py, f64>> {
-        let gradient = |point| self.field.gradient(point).unwrap_or([f64::NAN; 3]);
-        triples(points.py(), each(points, gradient)?)
+        let gradient =
+            |field: &occupancy::DistanceField, p| field.gradient(p).unwrap_or([f64::NAN; 3]);
+        triples(points.py(), each(&self.field, points, gradient)?)
     }
 
-    fn update(&mut self, py: Python, map: PyRef<OccupancyMap>) -> usize {
-        let (field, map) = (&mut self.field, Arc::clone(&map.map));
-        py.detach(|| field.update(&map, all_threads()))
+    /// Follows the map that it was made of; how many bricks were looked at.
+    fn update(&self, py: Python, map: PyRef<OccupancyMap>) -> PyResult<usize> {
+        let (field, map) = (Arc::clone(&self.field), Arc::clone(&map.inner));
+        wait_for(py, move || {
+            let mut field = field.write().unwrap_or_else(PoisonError::into_inner);
+            field.update(&read(&map).map, all_threads())
+        })
+    }
+
+    fn __repr__(&self) -> String {
+        let unknown = match self.unknown_blocks {
+            true => ", unknown cells are obstacles",
+            false => "",
+        };
+        format!(
+            "<monogrid.DistanceField: up to {}{unknown}>",
+            self.max_distance
+        )
     }
 }

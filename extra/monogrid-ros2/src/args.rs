@@ -1,7 +1,7 @@
 //! The command line.
 
 use crate::frames::mount;
-use crate::log::Severity;
+use crate::log::{LogForm, Severity};
 use clap::Parser;
 use monogrid_geometry::Se3;
 use std::ops::RangeInclusive;
@@ -64,6 +64,9 @@ pub struct Args {
     /// back begins a new map
     #[arg(long)]
     pub use_sim_time: bool,
+    /// How messages on standard error are written
+    #[arg(long, value_name = "FORM", value_enum, default_value_t)]
+    pub log: LogForm,
     /// What is said on standard error and /rosout at least: debug, info, warn, error or fatal; of
     /// one logger as LOGGER:=LEVEL
     #[arg(long, value_name = "LEVEL", value_parser = level)]

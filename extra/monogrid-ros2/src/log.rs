@@ -1,12 +1,16 @@
 //! What the node says to people: on standard error, and on `/rosout` to those who look from
 //! elsewhere.
 
+use crate::args::Args;
 use crate::clock::Clock;
 use crate::node::{Outlet, Quality, RosNode};
-use monogrid_datasets::printable;
+use clap::ValueEnum;
+use monogrid_datasets::{log_line, printable};
+use monogrid_messages::builtin_interfaces::Time;
 use monogrid_messages::rcl_interfaces;
 use std::io::{Write, stderr};
 use std::sync::Arc;
+use std::time::Duration;
 
 /// How bad it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -55,29 +59,52 @@ impl Severity {
     }
 }
 
+/// How messages on standard error are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum LogForm {
+    /// For people
+    #[default]
+    Human,
+    /// A line of JSON each: time, level, name, message
+    Json,
+}
+
+impl LogForm {
+    /// A line for standard error.
+    #[must_use]
+    pub fn line(self, stamp: Time, severity: Severity, name: &str, text: &str) -> String {
+        let (kind, Time { sec, nanosec }) = (format!("{severity:?}"), stamp);
+        let since_1970 = Duration::new(u64::try_from(sec).unwrap_or(0), nanosec);
+        match self {
+            Self::Human => {
+                let (kind, text) = (kind.to_uppercase(), printable(text));
+                format!("[{kind}] [{sec}.{nanosec:09}] [{name}]: {text}")
+            }
+            Self::Json => log_line(since_1970, &kind.to_lowercase(), name, text),
+        }
+    }
+}
+
 /// Says things.
 pub struct Log {
     outlet: Outlet<rcl_interfaces::Log>,
+    form: LogForm,
     name: String,
     least: Severity,
     clock: Arc<Clock>,
 }
 
 impl Log {
-    /// Begins to publish, as the logger of this name; less than `least` is not said.
+    /// Begins to publish, as the logger of these options; less than their severity is not said.
     ///
     /// # Errors
     /// A network that cannot be used.
-    pub fn new(
-        node: &mut RosNode,
-        name: String,
-        least: Severity,
-        clock: Arc<Clock>,
-    ) -> anyhow::Result<Self> {
+    pub fn new(node: &mut RosNode, args: &Args, clock: Arc<Clock>) -> anyhow::Result<Self> {
         Ok(Self {
             outlet: node.publisher("/rosout", Quality::Log)?,
-            name,
-            least,
+            form: args.log,
+            name: args.logger(),
+            least: args.least_severity(),
             clock,
         })
     }
@@ -88,16 +115,14 @@ impl Log {
             return;
         }
         let (stamp, name) = (self.clock.now(), &self.name);
-        let (kind, text) = (format!("{severity:?}").to_uppercase(), printable(text));
-        let (sec, nanosec) = (stamp.sec, stamp.nanosec);
-        let line = format!("[{kind}] [{sec}.{nanosec:09}] [{name}]: {text}");
+        let line = self.form.line(stamp, severity, name, text);
         // what cannot be said is no reason to stop
         let _ = writeln!(stderr(), "{line}");
         let _ = self.outlet.publish(rcl_interfaces::Log {
             stamp,
             level: severity.number(),
             name: name.clone(),
-            msg: text.to_string(),
+            msg: printable(text).into_owned(),
             ..rcl_interfaces::Log::default()
         });
     }
@@ -125,6 +150,22 @@ mod tests {
             assert_eq!(Severity::from_name(&name.to_uppercase()), Some(severity));
         }
         assert_eq!(Severity::from_name("loud"), None);
+    }
+
+    #[test]
+    fn programs_read_one_line_of_json() {
+        let stamp = Time {
+            sec: 86_400,
+            nanosec: 5_000_000,
+        };
+        let text = "no \"images\"\nfor 5 s";
+        let line = |form: LogForm| form.line(stamp, Severity::Warn, "monogrid", text);
+        let json = "{\"time\":\"1970-01-02T00:00:00.005Z\",\"level\":\"warn\",\
+                    \"name\":\"monogrid\",\
+                    \"message\":\"no \\\"images\\\"\\nfor 5 s\"}";
+        assert_eq!(line(LogForm::Json), json);
+        let human = format!("[WARN] [86400.005000000] [monogrid]: {text}");
+        assert_eq!(line(LogForm::Human), human);
     }
 
     #[test]

@@ -9,7 +9,7 @@ use monogrid_inertial::Imu;
 use monogrid_pipeline::Settings;
 use monogrid_ros2::args::Args;
 use monogrid_ros2::clock::Clock;
-use monogrid_ros2::log::{Log, Severity};
+use monogrid_ros2::log::{Log, LogForm, Severity};
 use monogrid_ros2::maps::Maps;
 use monogrid_ros2::node::{RosNode, connect};
 use monogrid_ros2::serve::{Inputs, options};
@@ -17,7 +17,8 @@ use monogrid_ros2::settings::read_settings;
 use monogrid_ros2::topics::MapTopics;
 use monogrid_ros2::tracking::{PosePublisher, Tracking};
 use monogrid_ros2::work::{AtEnd, Counts, way_to_work};
-use std::fmt::Display;
+use std::io::{Write, stderr};
+use std::panic::set_hook;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
@@ -31,18 +32,38 @@ fn main() -> ExitCode {
         Ok(args) => args,
         // the help of the program, which holds nothing from outside
         Err(help) if !help.use_stderr() => help.exit(),
-        Err(error) => return failed(&error, 2),
+        Err(error) => return failed(&printable(&error.to_string()), 2),
     };
-    match run(args) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => failed(&format_args!("Error: {error:?}"), 1),
+    let (form, name) = (args.log, args.logger());
+    if form == LogForm::Json {
+        let name = name.clone();
+        set_hook(Box::new(move |panic| {
+            let line = form.line(
+                Clock::default().now(),
+                Severity::Fatal,
+                &name,
+                &panic.to_string(),
+            );
+            // what cannot be said is lost
+            let _ = writeln!(stderr(), "{line}");
+        }));
+    }
+    match (run(args), form) {
+        (Ok(()), _) => ExitCode::SUCCESS,
+        (Err(error), LogForm::Human) => failed(&printable(&format!("Error: {error:?}")), 1),
+        (Err(error), LogForm::Json) => {
+            let said = format!("{error:#}");
+            failed(
+                &form.line(Clock::default().now(), Severity::Fatal, &name, &said),
+                1,
+            )
+        }
     }
 }
 
 /// Says why: names of files and topics come from outside, and a terminal must not obey them.
-#[allow(clippy::print_stderr, reason = "a program that ends says why")]
-fn failed(error: &dyn Display, code: u8) -> ExitCode {
-    eprintln!("{}", printable(&error.to_string()));
+fn failed(line: &str, code: u8) -> ExitCode {
+    let _ = writeln!(stderr(), "{line}");
     ExitCode::from(code)
 }
 
@@ -70,8 +91,7 @@ fn run(args: Args) -> anyhow::Result<()> {
     let options = options(&args, work_sender.clone());
     let mut node = RosNode::new(&context, &args.namespace, &args.name, options)?;
     node.remap(&args.remap)?;
-    let (least, time) = (args.least_severity(), Arc::clone(&clock));
-    let log = Arc::new(Log::new(&mut node, args.logger(), least, time)?);
+    let log = Arc::new(Log::new(&mut node, &args, Arc::clone(&clock))?);
     let publisher = PosePublisher::new(&mut node, &args.frames)?;
     let topics = MapTopics::new(&mut node, &args.frames.map_frame)?;
     let inputs = Inputs::new(&mut node, &args)?;

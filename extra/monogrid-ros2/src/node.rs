@@ -2,11 +2,12 @@
 
 use anyhow::Context as _;
 use futures::StreamExt;
-use futures::future::join_all;
+use futures::channel::oneshot;
+use futures::future::{self, join_all};
 use monogrid_messages::RosMessage;
 use monogrid_messages::std_srvs::{TriggerRequest, TriggerResponse};
 use ros2_client::dds::rustdds::{
-    DomainParticipant, DomainParticipantBuilder, QosPolicies, QosPolicyBuilder, Topic,
+    DomainParticipant, DomainParticipantBuilder, GUID, QosPolicies, QosPolicyBuilder, Topic,
     TopicDescription, TopicKind, policy,
 };
 use ros2_client::qos::{Durability, History, WhenFull};
@@ -19,7 +20,9 @@ use serde::{Deserialize, Serialize};
 use std::future::Future;
 use std::net::Ipv4Addr;
 use std::pin::pin;
-use std::time::Duration;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{Builder, sleep};
+use std::time::{Duration, Instant};
 
 /// Connects to the other nodes of the ROS domain (`ROS_DOMAIN_ID`); to those of this computer only
 /// where `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST` or `ROS_LOCALHOST_ONLY=1`.
@@ -278,6 +281,11 @@ impl RosNode {
         Ok(Service {
             enhanced: server(ServiceMapping::Enhanced)?,
             cyclone: server(ServiceMapping::Cyclone)?,
+            readers: ReplyReaders {
+                participant: self.participant.clone(),
+                topic: name.to_dds_name("rr", &self.full_name, "Reply"),
+                met: Arc::default(),
+            },
         })
     }
 }
@@ -287,6 +295,7 @@ impl RosNode {
 pub struct Service<Request: Message, Response: Message> {
     enhanced: Server<Request, Response>,
     cyclone: Server<Request, Response>,
+    readers: ReplyReaders,
 }
 
 impl<Request: Message + 'static, Response: Message + 'static> Service<Request, Response> {
@@ -305,13 +314,85 @@ impl<Request: Message + 'static, Response: Message + 'static> Service<Request, R
                     if let Ok((id, request)) = request
                         && is_of_cyclone(&id) == is_cyclone
                     {
+                        let known = self.readers.until_known(&id);
+                        let (response, ()) = future::join(reply(request), known).await;
                         // whoever has gone away needs no answer
-                        let _ = server.async_send_response(id, reply(request).await).await;
+                        let _ = server.async_send_response(id, response).await;
                     }
                 }
             }
         });
         join_all(answers).await;
+    }
+}
+
+/// Time for which an answer waits for its reader to be known.
+const KNOWN_WITHIN: Duration = Duration::from_secs(1);
+/// Time between looks whether it is.
+const LOOK_EVERY: Duration = Duration::from_millis(2);
+/// Time that both middlewares may then take to take each other up. CycloneDDS drops what comes
+/// before the first heartbeat that it has asked for, which it does after 10 ms.
+const TAKING_UP: Duration = Duration::from_millis(100);
+/// Readers that are remembered of a service.
+const MOST_MET: usize = 256;
+/// Bytes of an identifier that are the same for what a process asks with and reads with, in every
+/// form of a request.
+const SHARED_BYTES: usize = 8;
+
+/// Those who read the answers of a service.
+#[derive(Clone)]
+struct ReplyReaders {
+    participant: DomainParticipant,
+    topic: String,
+    /// Those to whom an answer was sent already, the latest last.
+    met: Arc<Mutex<Vec<GUID>>>,
+}
+
+impl ReplyReaders {
+    /// Waits until the reader of whoever asked is known, or for too long. A request may come before
+    /// it is, and an answer that is sent then never comes to it.
+    async fn until_known(&self, id: &RmwRequestId) {
+        let (known, is_known) = oneshot::channel();
+        let (readers, asker) = (self.clone(), id.writer_gid.to_bytes16());
+        let wait = move || {
+            readers.wait(&asker[..SHARED_BYTES]);
+            // the node may be ending
+            let _ = known.send(());
+        };
+        if Builder::new().name("answer".to_owned()).spawn(wait).is_ok() {
+            // it always says so
+            let _ = is_known.await;
+        }
+    }
+
+    fn wait(&self, process: &[u8]) {
+        let begin = Instant::now();
+        let mut known = self.of(process);
+        while known.is_empty() && begin.elapsed() < KNOWN_WITHIN {
+            sleep(LOOK_EVERY);
+            known = self.of(process);
+        }
+        let met = || self.met.lock().unwrap_or_else(PoisonError::into_inner);
+        known.retain(|reader| !met().contains(reader));
+        if !known.is_empty() {
+            sleep(TAKING_UP);
+            let mut met = met();
+            met.extend(known);
+            let old = met.len().saturating_sub(MOST_MET);
+            met.drain(..old);
+        }
+    }
+
+    /// Those of a process.
+    fn of(&self, process: &[u8]) -> Vec<GUID> {
+        let readers = self.participant.discovered_readers();
+        let of_topic = readers
+            .iter()
+            .filter(|reader| *reader.subscription_topic_data.topic_name() == self.topic);
+        of_topic
+            .map(|reader| reader.reader_proxy.remote_reader_guid)
+            .filter(|reader| reader.to_bytes().starts_with(process))
+            .collect()
     }
 }
 

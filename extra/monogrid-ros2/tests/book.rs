@@ -25,6 +25,47 @@ fn commands_of_the_chapter_are_understood() {
 }
 
 #[test]
+fn the_unit_and_the_container_call_what_there_is() {
+    let here = env!("CARGO_MANIFEST_DIR");
+    let read = |name: &str| std::fs::read_to_string(format!("{here}/{name}")).unwrap();
+    let (unit, docker) = (read("deploy/monogrid-ros2.service"), read("Dockerfile"));
+    let unit = unit.replace("/etc/monogrid", &format!("{here}/deploy"));
+    let of_unit = unit
+        .lines()
+        .find_map(|line| line.strip_prefix("ExecStart="));
+    let of_docker = docker
+        .lines()
+        .find_map(|line| line.split_once("/data monogrid-ros2 "));
+    let of_docker = format!("monogrid-ros2 {}", of_docker.unwrap().1);
+    let launch = read("launch/monogrid.launch.py");
+    for file in ["monogrid.yaml", "monogrid.rviz"] {
+        assert!(launch.contains(file) && !read(&format!("deploy/{file}")).is_empty());
+    }
+    // the chapter shows what is there
+    let nav2 = read("deploy/nav2.yaml");
+    let shown = chapter();
+    let shown = shown
+        .split("```yaml\n")
+        .find(|text| text.starts_with("global_costmap"));
+    assert!(nav2.ends_with(shown.unwrap().split("```").next().unwrap()));
+    let launched =
+        format!("monogrid-ros2 --ros-args --params-file {here}/deploy/monogrid.yaml -r __ns:=/");
+    for line in [of_unit.unwrap(), &of_docker, &launched] {
+        let args = Args::read(line.split_whitespace().map(Into::into));
+        let args = args.unwrap_or_else(|error| panic!("{line}: {error}"));
+        assert_eq!(
+            (args.image.as_str(), args.ignored.len()),
+            ("/camera/image_raw", 0)
+        );
+    }
+    let distribution = docker
+        .lines()
+        .find_map(|line| line.strip_prefix("ARG DISTRO="));
+    let features = read("Cargo.toml");
+    assert!(features.contains(&format!("\n{} = [", distribution.unwrap())));
+}
+
+#[test]
 fn options_that_the_chapter_names_exist() {
     let chapter = chapter();
     let command = Args::command();

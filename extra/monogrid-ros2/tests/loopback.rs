@@ -17,11 +17,14 @@ use monogrid_messages::geometry_msgs::{Pose, Transform};
 use monogrid_messages::map_msgs::OccupancyGridUpdate;
 use monogrid_messages::nav_msgs::OccupancyGrid;
 use monogrid_messages::rcl_interfaces::{DEBUG, ERROR, INFO, WARN};
+use monogrid_messages::std_srvs::{TriggerRequest, TriggerResponse};
 use monogrid_messages::tf2_msgs::TFMessage;
 use monogrid_ros2::convert::{MAX_MESSAGE_BYTES, pose_of_transform};
 use monogrid_ros2::frames::mount;
+use monogrid_ros2::node::connect_to;
 use monogrid_worlds::{CameraPath, ImuConfig, SynthSequence, imu_samples};
 use robot::{Heard, Listening, Node, Robot, first_arrivals, latencies, now};
+use ros2_client::dds::rustdds::{QosPolicyBuilder, TopicDescription, TopicKind, policy};
 use std::fs;
 use std::path::Path;
 use std::sync::atomic::{AtomicU16, Ordering};
@@ -439,6 +442,61 @@ fn who_comes_late_gets_one_map() {
     assert!(node.interrupt());
 }
 
+#[test]
+fn an_answer_waits_for_whoever_asked() {
+    let domain = domain();
+    let mut node = Node::start(domain, &[]);
+    let participant = connect_to(domain, true).unwrap().domain_participant();
+    let qos = QosPolicyBuilder::new()
+        .reliability(policy::Reliability::Reliable {
+            max_blocking_time: Duration::from_secs(1).into(),
+        })
+        .history(policy::History::KeepLast { depth: 10 })
+        .build();
+    let topic = |name: &str, kind: &str| {
+        let (name, kind) = (name.to_owned(), format!("std_srvs::srv::dds_::{kind}"));
+        let made = participant.create_topic(name, kind, &qos, TopicKind::NoKey);
+        made.unwrap()
+    };
+    let requests = topic("rq/monogrid/saveRequest", "Trigger_Request_");
+    let publisher = participant.create_publisher(&qos).unwrap();
+    let writer = publisher
+        .create_datawriter_no_key_cdr::<TriggerRequest>(&requests, None)
+        .unwrap();
+    let is_offered = || {
+        let readers = participant.discovered_readers();
+        let mut topics = readers
+            .iter()
+            .map(|r| r.subscription_topic_data.topic_name());
+        topics.any(|topic| *topic == requests.name())
+    };
+    let begin = Instant::now();
+    while !is_offered() {
+        assert!(begin.elapsed() < Duration::from_secs(20));
+        thread::sleep(Duration::from_millis(10));
+    }
+    // until the writer has taken it up
+    thread::sleep(Duration::from_millis(500));
+    writer.write(TriggerRequest::default(), None).unwrap();
+    // the request comes, and who reads the answer is not known yet
+    thread::sleep(Duration::from_millis(200));
+    let replies = topic("rr/monogrid/saveReply", "Trigger_Response_");
+    let subscriber = participant.create_subscriber(&qos).unwrap();
+    let mut reader = subscriber
+        .create_datareader_no_key_cdr::<TriggerResponse>(&replies, None)
+        .unwrap();
+    let begin = Instant::now();
+    let answer = loop {
+        if let Ok(Some(answer)) = reader.take_next_sample() {
+            break answer.into_value();
+        }
+        assert!(begin.elapsed() < Duration::from_secs(10), "no answer");
+        thread::sleep(Duration::from_millis(10));
+    };
+    assert!(!answer.success && answer.message.contains("no map yet"));
+    assert!(node.interrupt());
+}
+
 fn a_clock_that_jumps_back_begins_a_new_map(heard: &Listening, robot: &Robot, film: &Film) {
     let is_at = |sec| {
         move |heard: &Heard| {
@@ -698,8 +756,10 @@ fn a_reset_begins_a_new_map(loopback: &Loopback, image: &Image<u8>) {
 #[test]
 #[ignore = "takes minutes: scripts/ros2_loopback.sh"]
 fn a_minute_of_a_camera() {
-    let folder = std::env::var("LOOPBACK_SEQUENCE").unwrap();
-    let film = Film::read(Path::new(&folder));
+    let film = match std::env::var("LOOPBACK_SEQUENCE") {
+        Ok(folder) => Film::read(Path::new(&folder)),
+        Err(_) => Film::rendered(&SynthSequence::demo().unwrap(), 600),
+    };
     let mut loopback = Loopback::start(&[]);
     let idle = idle_load(&loopback.node, 10);
     let sent = loopback.run(&film, 1800);

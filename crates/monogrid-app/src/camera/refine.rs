@@ -4,6 +4,7 @@ use crate::camera::map_camera::{HELD, LEFT_RADIAL, TakenOut, as_calibrated, show
 use crate::camera::self_calibration::{Expected, OwnCalibration};
 use crate::config::RunConfig;
 use crate::input::Input;
+use crate::process::console::is_drawn;
 use crate::process::failure::{Classify, Failure};
 use crate::process::interrupt::is_interrupted;
 use crate::process::talk;
@@ -12,7 +13,6 @@ use monogrid_calibration::{Estimate, Intrinsics, Parameters};
 use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2};
 use monogrid_pipeline::{ReadFrame, ReadOn, Reading, SourceFrame, read_ahead};
 use monogrid_slam::{FrameInput, Slam};
-use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -133,7 +133,7 @@ fn first_pass(
         ControlFlow::Continue(ReadOn::AsBefore)
     };
     let what = ("first pass", "frames", total);
-    let is_terminal = std::io::stderr().is_terminal();
+    let is_terminal = is_drawn();
     let read = watched(
         what,
         is_terminal,

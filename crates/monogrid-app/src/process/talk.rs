@@ -3,7 +3,6 @@
 
 use super::console;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use std::io::IsTerminal;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -53,7 +52,7 @@ fn spinner() -> MutexGuard<'static, Option<ProgressBar>> {
 /// Talks from now on; what is named until something else is.
 pub fn begin(name: &str) {
     doing(name);
-    let is_terminal = std::io::stderr().is_terminal();
+    let is_terminal = console::is_drawn();
     let tell = move || {
         loop {
             thread::sleep(LOOK_EVERY);

@@ -7,7 +7,7 @@ mod tail;
 pub use link::{Link, LinkError, REFUSED};
 pub use packer::{NewestPose, Packer};
 
-use crate::messages::{AgentPose, BadName, Fleet, RunKey, run_number};
+use crate::messages::{AgentPose, BadName, Fleet, RunKey, WARNING, run_number};
 use crate::network::{self, NetworkError};
 use crate::packet::PacketError;
 use crate::packet_log::PacketLog;
@@ -202,16 +202,18 @@ impl Agent {
             Ok(has_sent) => has_sent,
             Err(LinkError::Lost(why)) => {
                 if matches!(self.link, LinkState::Up(_)) {
-                    say(format!("the link is lost, the run goes on: {why}"));
+                    say(format!("{WARNING}the link is lost, the run goes on: {why}"));
                 } else if self.unreached.as_ref() != Some(&why) {
-                    say(format!("no server yet, the run goes on: {why}"));
+                    say(format!("{WARNING}no server yet, the run goes on: {why}"));
                     self.unreached = Some(why);
                 }
                 self.link = LinkState::Down(Instant::now() + RETRY_AFTER);
                 false
             }
             Err(LinkError::Refused(why)) => {
-                say(format!("nothing more is delivered, the run goes on: {why}"));
+                say(format!(
+                    "{WARNING}nothing more is delivered, the run goes on: {why}"
+                ));
                 self.link = LinkState::Refused;
                 false
             }

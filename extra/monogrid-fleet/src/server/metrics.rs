@@ -7,17 +7,52 @@ use monogrid_report::explorer::{Answer, Server, Serving};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// How often it is counted.
 const EVERY: Duration = Duration::from_secs(1);
+/// A server that has not counted for so long answers nobody.
+const STUCK_AFTER: Duration = Duration::from_secs(30);
 
-/// Answers `GET /metrics`, and takes nothing in.
+/// Answers `GET /metrics` and `GET /health`, and takes nothing in.
 pub struct Metrics {
-    text: Arc<Mutex<String>>,
+    last: Arc<Mutex<Last>>,
     serving: Option<Serving>,
-    counted: Option<Instant>,
+}
+
+/// What was counted last.
+#[derive(Default)]
+struct Last {
+    text: String,
+    at: Option<Instant>,
+    why_nothing_is_kept: Option<String>,
+}
+
+impl Last {
+    /// Whether the server works; else why not.
+    fn health(&self, now: Instant) -> Result<(), String> {
+        let silent = self.at.map(|at| now.saturating_duration_since(at));
+        match (silent, &self.why_nothing_is_kept) {
+            (None, _) => Err("the server begins".to_owned()),
+            (Some(silent), _) if silent > STUCK_AFTER => {
+                let seconds = silent.as_secs();
+                Err(format!("the server has done nothing for {seconds} s"))
+            }
+            (_, Some(why)) => Err(why.clone()),
+            _ => Ok(()),
+        }
+    }
+
+    fn answer(&self, path: &str) -> Option<Answer> {
+        let line = |text: &str| Answer::text(format!("{text}\n"));
+        match (path, self.health(Instant::now())) {
+            ("/metrics", _) => Some(Answer::text(self.text.clone())),
+            ("/health", Ok(())) => Some(line("ok")),
+            ("/health", Err(why)) => Some(line(&why).unavailable()),
+            _ => None,
+        }
+    }
 }
 
 impl Metrics {
@@ -26,30 +61,33 @@ impl Metrics {
     /// # Errors
     /// An address that cannot be listened at.
     pub fn listen(address: SocketAddr) -> Result<Self, ReportError> {
-        let text = Arc::new(Mutex::new(String::new()));
-        let shown = Arc::clone(&text);
-        let answer = move |path: &str| {
-            let text = || shown.lock().unwrap_or_else(PoisonError::into_inner).clone();
-            (path == "/metrics").then(|| Answer::text(text()))
-        };
+        let last = Arc::new(Mutex::new(Last::default()));
+        let shown = Arc::clone(&last);
+        let answer = move |path: &str| locked(&shown).answer(path);
         let serving = Server::listen_openly(address)?.start(answer)?;
         Ok(Self {
-            text,
+            last,
             serving: Some(serving),
-            counted: None,
         })
     }
 
     /// Whether it is time to count again.
     pub fn is_due(&self) -> bool {
-        self.counted.is_none_or(|at| at.elapsed() >= EVERY)
+        locked(&self.last).at.is_none_or(|at| at.elapsed() >= EVERY)
     }
 
     /// What is answered from now on.
-    pub fn set(&mut self, counted: &Counted) {
-        self.counted = Some(Instant::now());
-        *self.text.lock().unwrap_or_else(PoisonError::into_inner) = counted.text();
+    pub fn set(&self, counted: &Counted, why_nothing_is_kept: Option<String>) {
+        *locked(&self.last) = Last {
+            text: counted.text(),
+            at: Some(Instant::now()),
+            why_nothing_is_kept,
+        };
     }
+}
+
+fn locked(last: &Mutex<Last>) -> MutexGuard<'_, Last> {
+    last.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Drop for Metrics {
@@ -151,6 +189,20 @@ mod tests {
     use super::*;
     use crate::messages::Similarity;
     use monogrid_geometry::Sim3;
+
+    #[test]
+    fn a_server_that_does_nothing_or_keeps_nothing_is_not_well() {
+        let now = Instant::now();
+        let last = |silent_s: u64, why: Option<&str>| Last {
+            at: now.checked_sub(Duration::from_secs(silent_s)),
+            why_nothing_is_kept: why.map(str::to_owned),
+            ..Last::default()
+        };
+        assert_eq!(last(29, None).health(now), Ok(()));
+        assert!(last(31, None).health(now).unwrap_err().contains("31 s"));
+        assert_eq!(last(1, Some("full")).health(now), Err("full".to_owned()));
+        assert!(Last::default().health(now).is_err());
+    }
 
     #[test]
     fn what_is_counted_is_what_prometheus_reads() {

@@ -14,7 +14,7 @@ pub use store::StoreError;
 pub use transforms::similarity_of;
 
 use crate::agent::REFUSED;
-use crate::messages::{AgentState, Asked, Fleet, Missing, PREFIX, RunKey, Similarity};
+use crate::messages::{AgentState, Asked, Fleet, Missing, PREFIX, RunKey, Similarity, WARNING};
 use crate::network::{self, NetworkError};
 use joining::{Joining, Next, Search};
 use metrics::{Counted, Metrics};
@@ -203,8 +203,8 @@ impl Server {
                 .map(|(key, at)| (key.to_string(), at.elapsed()))
                 .collect(),
         };
-        if let Some(metrics) = &mut self.metrics {
-            metrics.set(&counted);
+        if let Some(metrics) = &self.metrics {
+            metrics.set(&counted, self.store.why_nothing_is_kept());
         }
     }
 
@@ -341,7 +341,9 @@ impl Server {
         match result.and_then(|()| joining.joined()) {
             Ok(joined) => self.place(&joined, say),
             Err(why) => {
-                say(format!("nothing was joined: {why}; each run is looked at"));
+                say(format!(
+                    "{WARNING}nothing was joined: {why}; each run is looked at"
+                ));
                 let files = self.store.files(&joining.runs);
                 drop(joining);
                 self.go_on_searching(Search::new(files.0, files.1), say);
@@ -363,7 +365,9 @@ impl Server {
                 return;
             }
             Next::SetApart(run, why) => {
-                say(format!("{run} is set apart, the others are joined: {why}"));
+                say(format!(
+                    "{WARNING}{run} is set apart, the others are joined: {why}"
+                ));
                 if let Some(stored) = self.store.runs.get_mut(&run) {
                     let until_packets = 2 * stored.log.len();
                     stored.set_apart(why, until_packets);
@@ -376,7 +380,9 @@ impl Server {
             }
             Next::Passed => {}
             Next::Nobody(why) => {
-                say(format!("maps cannot be joined on this computer: {why}"));
+                say(format!(
+                    "{WARNING}maps cannot be joined on this computer: {why}"
+                ));
                 self.end_trials();
                 return;
             }
@@ -435,7 +441,7 @@ impl Voice {
         }
         if self.said < SAID_PER_MINUTE {
             self.said += 1;
-            say(text);
+            say(format!("{WARNING}{text}"));
         } else {
             self.unsaid += 1;
         }
@@ -444,7 +450,7 @@ impl Voice {
     /// Says how much was not said.
     fn end(&mut self, say: &mut dyn FnMut(String)) {
         if self.unsaid > 0 {
-            say(format!("{} more of the kind", self.unsaid));
+            say(format!("{WARNING}{} more of the kind", self.unsaid));
             self.unsaid = 0;
         }
     }
@@ -468,6 +474,6 @@ mod tests {
         }
         voice.end(&mut |text| said.push(text));
         assert_eq!(said.len(), SAID_PER_MINUTE as usize + 1);
-        assert_eq!(said.last().unwrap(), "940 more of the kind");
+        assert_eq!(said.last().unwrap(), "warning: 940 more of the kind");
     }
 }

@@ -2,7 +2,7 @@
 
 use super::limits::{KEPT_FREE_BYTES, Limits, OverLimit, Usage};
 use super::transforms::{Frame, OwnPoses};
-use crate::messages::RunKey;
+use crate::messages::{RunKey, WARNING};
 use crate::packet::{Packet, PacketError, Unfinished, check_record, check_size};
 use crate::packet_log::{PacketLog, append_at};
 use monogrid_datasets::{
@@ -172,7 +172,7 @@ impl Store {
                 continue;
             }
             if let Err(error) = store.open_run(&run) {
-                say(format!("closed: {run}: {error}"));
+                say(format!("{WARNING}closed: {run}: {error}"));
                 store.closed.insert(run.clone(), error.to_string());
                 // the packets before it were good
                 if let Some(stored) = store.runs.get_mut(&run) {
@@ -254,12 +254,22 @@ impl Store {
         let of_all = self.usage();
         self.limits
             .check(run.name(), &(of_agent + more), &(of_all + more))?;
+        self.has_room(more.bytes)
+    }
+
+    /// Refuses what would fill the disk.
+    fn has_room(&self, more: u64) -> Result<(), StoreError> {
         let free = free_bytes(&self.folder).map_err(at(&self.folder))?;
-        if free < KEPT_FREE_BYTES.saturating_add(more.bytes) {
+        if free < KEPT_FREE_BYTES.saturating_add(more) {
             let path = self.folder.clone();
             return Err(StoreError::NoSpace { path, free });
         }
         Ok(())
+    }
+
+    /// Why no packet of anybody would be kept now.
+    pub fn why_nothing_is_kept(&self) -> Option<String> {
+        self.has_room(0).err().map(|error| error.to_string())
     }
 
     /// Begins a run with its first packet, which is kept if it `is_new`.

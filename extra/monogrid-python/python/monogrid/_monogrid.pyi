@@ -34,9 +34,13 @@ def evaluate_map(estimate: OccupancyMap, truth: OccupancyMap, *, tolerance: floa
 
 @final
 class OccupancyMap:
-    """Log-odds of occupancy per cell, compatible with OctoMap. Lengths are in map units (metres, if the measurements are)."""
+    """Log-odds of occupancy per cell, compatible with OctoMap. Lengths are in map units (metres, if the measurements are).
 
-    def __init__(self, resolution: float = 0.05) -> None: ...
+    memory_budget: bytes that the map may take (default: 8 GiB); MemoryError where a scan would need more.
+    Several threads may look at a map at once, and change it in turn. It can be pickled and copied.
+    """
+
+    def __init__(self, resolution: float = 0.05, *, memory_budget: int | None = None) -> None: ...
     @staticmethod
     def read(path: str | os.PathLike[str]) -> OccupancyMap:
         """Reads `.ot`, `.bt` (OctoMap) or `.mgo`, whatever the name."""
@@ -133,7 +137,12 @@ class DistanceField:
 
 @final
 class Camera:
-    """Size of the images, pinhole and lens. The centre of the top-left pixel is (0, 0)."""
+    """Size of the images, pinhole and lens. The centre of the top-left pixel is (0, 0).
+
+    `model`: "radial-tangential" (k1, k2, p1, p2, k3 as OpenCV), "rational" (eight numbers in the order of OpenCV),
+    "equidistant" (four), "fov" (one), "double-sphere" (xi, alpha), "extended-unified" (alpha, beta) or
+    "omnidirectional" (xi, k1, k2, p1, p2).
+    """
 
     def __init__(
         self,
@@ -147,26 +156,35 @@ class Camera:
         *,
         model: str = "radial-tangential",
         rolling_shutter_ms: float = 0.0,
-    ) -> None:
-        """`model`: "radial-tangential" (k1, k2, p1, p2, k3 as OpenCV), "rational" (eight numbers in the order of OpenCV),
-        "equidistant" (four), "fov" (one), "double-sphere" (xi, alpha), "extended-unified" (alpha, beta) or
-        "omnidirectional" (xi, k1, k2, p1, p2)."""
+    ) -> None: ...
     @staticmethod
     def read(path: str | os.PathLike[str], size: tuple[int, int] | None = None) -> Camera:
         """Reads any calibration file that the program understands; `size` where the file does not say it."""
     @property
-    def size(self) -> tuple[int, int]: ...
+    def size(self) -> tuple[int, int]:
+        """Width and height of the images, px."""
     @property
-    def pinhole(self) -> tuple[float, float, float, float]: ...
+    def pinhole(self) -> tuple[float, float, float, float]:
+        """fx, fy, cx and cy, px."""
     @property
-    def rolling_shutter_ms(self) -> float: ...
+    def rolling_shutter_ms(self) -> float:
+        """Time from the first row of an image to the last, ms."""
 
 @final
 class Frame:
     """What became of an image."""
 
+    def __init__(
+        self,
+        index: int | None,
+        state: str,
+        reason: str | None = None,
+        is_keyframe: bool = False,
+        pose: ArrayLike | None = None,
+    ) -> None: ...
     @property
-    def index(self) -> int | None: ...
+    def index(self) -> int | None:
+        """Which image it is, from 0 on; None where it was not used."""
     @property
     def state(self) -> str:
         """"initialising", "good", "degraded", "fragment", "lost", or "unused"."""
@@ -177,7 +195,8 @@ class Frame:
     def pose(self) -> NDArray[np.float64] | None:
         """`world_from_camera`, shape (4, 4), as known now; the world is the first keyframe's camera."""
     @property
-    def is_keyframe(self) -> bool: ...
+    def is_keyframe(self) -> bool:
+        """Whether it became a keyframe."""
 
 @final
 class Imu:
@@ -201,7 +220,8 @@ class Imu:
 class Slam:
     """Images of one camera in, poses and a growing map out. The same images and settings give the same bytes.
 
-    imu: a sensor whose readings come by `push_imu`: the map becomes level and metric when they are sure enough. mask: uint8, shape (height, width), 0 where pixels must be ignored. config: a `config.toml`, e.g. one that says `profile = "fast"` for a small computer. settings: changes of it, as
+    imu: a sensor whose readings come by `push_imu`: the map becomes level and metric when they are sure enough. mask: uint8, shape (height, width), 0 where pixels must be ignored. config: a `config.toml`,
+    e.g. one that says `profile = "fast"` for a small computer. settings: changes of it, as
     `["mapping.resolution=0.02"]`.
     """
 
@@ -230,7 +250,7 @@ class Slam:
         """The map as it is now, z up as the first camera was held, or as an inertial sensor says; None before the first finished
         keyframe."""
     def finish(self) -> SlamResult:
-        """Ends the run: final depth, poses and map."""
+        """Ends the run: final depth, poses and map. What Ctrl-C interrupts here is lost."""
 
 @final
 class SlamResult:
@@ -255,4 +275,5 @@ class SlamResult:
     def poses(self) -> NDArray[np.float64]:
         """`world_from_camera` of every frame with a pose, shape (n, 4, 4); the world is the first keyframe's camera."""
     @property
-    def num_keyframes(self) -> int: ...
+    def num_keyframes(self) -> int:
+        """How many keyframes there are."""

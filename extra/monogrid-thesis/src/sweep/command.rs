@@ -15,6 +15,7 @@ use monogrid_app::config::RunConfig;
 use monogrid_app::input::Input;
 use monogrid_app::input::depth_images::FrameDepths;
 use monogrid_app::output::{Inputs, OutputFolder};
+use monogrid_app::process::console::is_drawn;
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
 use monogrid_app::process::progress::Progress;
 use monogrid_app::process::usage::peak_rss_bytes;
@@ -25,7 +26,6 @@ use monogrid_datasets::Scale;
 use monogrid_evaluation::{MapEvaluationConfig, MapEvaluator, TruthGrid, whole_ratio};
 use monogrid_mapping::KeyframeScan;
 use serde::Serialize;
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -102,7 +102,7 @@ pub fn execute(args: &SweepArgs) -> CommandResult {
         memory_bytes: (args.memory * 1e9) as usize,
     };
     let num_maps = recordings.len() * resolutions.len() * plan::models().len();
-    let progress = Progress::new(num_maps, "maps", std::io::stderr().is_terminal());
+    let progress = Progress::new(num_maps, "maps", is_drawn());
     let sweep = Sweep {
         args,
         out: &out,

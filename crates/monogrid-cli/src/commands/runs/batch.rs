@@ -12,11 +12,11 @@ use crate::commands::warn;
 use clap::Args;
 use monogrid_app::args::{JsonArg, positive};
 use monogrid_app::output::OutputFolder;
+use monogrid_app::process::console::is_drawn;
 use monogrid_app::process::failure::{CommandResult, Failure, Outcome as Ended};
 use monogrid_app::process::progress::Progress;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -189,7 +189,7 @@ fn carry_out(tasks: &[Task], job: &Job, limits: Limits) -> Vec<Option<Outcome>> 
         let done = tasks.len() - missing.len();
         eprintln!("{done} of {} recordings are done already", tasks.len());
     }
-    let progress = Progress::new(missing.len(), "recordings", std::io::stderr().is_terminal());
+    let progress = Progress::new(missing.len(), "recordings", is_drawn());
     let left = schedule::run(&missing, limits, &|index, attempt, peak| {
         let outcome = job.carry_out(&tasks[index], attempt, peak);
         progress.done(&format!("{}: {}", tasks[index].name, line(&outcome)));

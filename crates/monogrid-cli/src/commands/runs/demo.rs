@@ -8,6 +8,7 @@ use monogrid_app::args::{JsonArg, Profile};
 use monogrid_app::config::RunConfig;
 use monogrid_app::input::{Images, Input};
 use monogrid_app::output::{Inputs, OutputFolder};
+use monogrid_app::process::console::is_drawn;
 use monogrid_app::process::failure::{CommandResult, Failure};
 use monogrid_app::run::RunSettings;
 use monogrid_app::run::align::Align;
@@ -23,7 +24,6 @@ use monogrid_evaluation::{
 use monogrid_geometry::{Camera, Distortion};
 use monogrid_mapping::Maps;
 use monogrid_worlds::{Renderer, SynthSequence};
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -80,7 +80,7 @@ pub fn execute(args: &DemoArgs) -> CommandResult {
         input.frames.len()
     );
     let settings = RunSettings {
-        show_progress: std::io::stderr().is_terminal(),
+        show_progress: is_drawn(),
         ..RunSettings::new(config, threads)
     };
     let finished = run_all(&input, &folder, &settings, &align, |tracked, maps| {

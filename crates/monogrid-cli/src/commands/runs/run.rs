@@ -11,6 +11,7 @@ use monogrid_app::input::readings::Inertial;
 use monogrid_app::input::seen::Motion;
 use monogrid_app::input::{Images, Input};
 use monogrid_app::output::{Inputs, OutputFile, OutputFolder};
+use monogrid_app::process::console::is_drawn;
 use monogrid_app::process::failure::{CommandResult, Failure};
 use monogrid_app::process::interrupt::{self, abandonable, is_interrupted};
 use monogrid_app::process::memory;
@@ -22,7 +23,6 @@ use monogrid_app::run::{MemoryLimit, RunSettings, SubmapPolicy, View};
 use monogrid_image::WorkingSize;
 use monogrid_pipeline::Pace;
 use monogrid_slam::{Purpose, SlamConfig};
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -200,7 +200,7 @@ pub fn execute(args: &RunArgs) -> CommandResult {
         pace: args.realtime.map_or(Pace::Taken, |ms| Pace::Real {
             max_wait: Duration::from_millis(ms),
         }),
-        show_progress: std::io::stderr().is_terminal(),
+        show_progress: is_drawn(),
         view: args.view.clone(),
         memory_limit: args.memory_limit.map(MemoryLimit),
         submaps: args.submaps.map(|n| SubmapPolicy::of(usize::from(n))),

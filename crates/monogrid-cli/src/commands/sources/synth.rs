@@ -6,6 +6,7 @@ use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use monogrid_app::args::{JsonArg, frame_rate, positive, readout_ms, size};
 use monogrid_app::output::{Inputs, OutputFolder};
+use monogrid_app::process::console::is_drawn;
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
 use monogrid_app::run::tracking::progress::watched;
 use monogrid_datasets::{Calibration, read_trajectory};
@@ -17,7 +18,6 @@ use monogrid_worlds::{
     write_tum_layout,
 };
 use serde::Serialize;
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -175,7 +175,7 @@ fn write(args: &SynthArgs, folder: &OutputFolder, sequence: &SynthSequence) -> C
         baseline_m: args.stereo.unwrap_or(0.0),
     };
     let what = ("rendering", "frames", sequence.len());
-    let is_terminal = std::io::stderr().is_terminal();
+    let is_terminal = is_drawn();
     let written = watched(
         what,
         is_terminal,

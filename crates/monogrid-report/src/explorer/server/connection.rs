@@ -98,14 +98,12 @@ impl Line {
             end: Instant::now() + limit,
         };
         let limits = &site.limits;
-        let (status, answer) = match self.question(site, until(limits.ask))? {
-            Ok(path) => match self.answer(answers, &path) {
-                Some(answer) => ("200 OK", answer),
-                None => ("404 Not Found", Answer::nothing()),
-            },
-            Err(status) => (status, Answer::nothing()),
+        let answer = match self.question(site, until(limits.ask))? {
+            Ok(path) => self.answer(answers, &path).ok_or("404 Not Found"),
+            Err(status) => Err(status),
         };
-        answer.write(status, &mut until(limits.answer))?;
+        let answer = answer.unwrap_or_else(Answer::nothing);
+        answer.write(&mut until(limits.answer))?;
         self.stream.shutdown(Shutdown::Write)?;
         // A connection that is closed with bytes unread is reset, and the answer may be lost. What
         // still comes goes into a small buffer and nowhere else.
@@ -198,16 +196,18 @@ impl Site {
 
 impl Answer {
     /// The content of a refusal.
-    fn nothing() -> Self {
+    fn nothing(status: &'static str) -> Self {
         Self {
+            status,
             kind: "text/plain",
             policy: "default-src 'none'",
             content: Arc::default(),
         }
     }
 
-    fn write(&self, status: &str, out: &mut impl Write) -> io::Result<()> {
+    fn write(&self, out: &mut impl Write) -> io::Result<()> {
         let Self {
+            status,
             kind,
             policy,
             content,

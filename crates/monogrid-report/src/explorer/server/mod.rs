@@ -48,6 +48,7 @@ const LIMITS: Limits = Limits {
 /// What is answered to a request.
 #[derive(Clone, Debug)]
 pub struct Answer {
+    status: &'static str,
     /// Media type.
     kind: &'static str,
     /// What a page may load.
@@ -59,6 +60,7 @@ impl Answer {
     /// A page that may load what the policy allows, whatever it says itself.
     pub fn page(html: String, policy: &'static str) -> Self {
         Self {
+            status: "200 OK",
             kind: "text/html; charset=utf-8",
             policy,
             content: html.into_bytes().into(),
@@ -68,6 +70,7 @@ impl Answer {
     /// Text for programs.
     pub fn text(text: String) -> Self {
         Self {
+            status: "200 OK",
             kind: "text/plain; version=0.0.4; charset=utf-8",
             policy: "default-src 'none'",
             content: text.into_bytes().into(),
@@ -77,10 +80,18 @@ impl Answer {
     /// Data for a page.
     pub fn json(json: Vec<u8>) -> Self {
         Self {
+            status: "200 OK",
             kind: "application/json",
             policy: "default-src 'none'",
             content: json.into(),
         }
+    }
+
+    /// The same, for those who ask whether all is well: it is not.
+    #[must_use]
+    pub fn unavailable(self) -> Self {
+        let status = "503 Service Unavailable";
+        Self { status, ..self }
     }
 
     /// The content.
