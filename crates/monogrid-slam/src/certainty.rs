@@ -1,8 +1,8 @@
 //! How well the pose of a keyframe is known.
 //!
 //! Where little is in view, turning and moving sideways look alike: the camera slides, what comes
-//! into view gets its depth from wrong poses, and each frame agrees with its keyframe well enough to
-//! be believed. The covariance of bundle adjustment shows it.
+//! into view gets its depth from wrong poses, and each frame agrees with its keyframe well enough
+//! to be believed. The covariance of bundle adjustment shows it.
 
 use monogrid_geometry::Mat6;
 
@@ -12,8 +12,8 @@ const MAX_PLACE: f64 = 0.01;
 /// Largest standard deviation of its orientation, degrees.
 const MAX_TURN_DEG: f64 = 0.4;
 
-/// Standard deviations of the pose of a keyframe beside those that an adjustment did not move: roots
-/// of the traces of the two blocks of its covariance.
+/// Standard deviations of the pose of a keyframe beside those that an adjustment did not move:
+/// roots of the traces of the two blocks of its covariance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct PoseSigma {
     /// Of its place, in units of the world.

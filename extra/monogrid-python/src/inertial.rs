@@ -57,7 +57,7 @@ impl Imu {
     fn __getnewargs_ex__<'py>(
         &self,
         py: Python<'py>,
-    ) -> PyResult<((Bound<'py, PyArray2<f64>>,), Bound<'py, PyDict>)> {
+    ) -> PyResult<(Arguments<'py>, Bound<'py, PyDict>)> {
         let (mount, noise) = (matrix(&self.imu.imu_from_camera), self.imu.noise);
         let keywords = PyDict::new(py);
         for (name, density) in [
@@ -75,6 +75,9 @@ impl Imu {
         format!("<monogrid.Imu: {:?}>", self.imu.noise)
     }
 }
+
+/// The arguments that are given by place: `imu_from_camera`.
+type Arguments<'py> = (Bound<'py, PyArray2<f64>>,);
 
 /// Readings of arrays: n times in seconds, and n rows of each sensor; or one time and one row each.
 pub fn readings(

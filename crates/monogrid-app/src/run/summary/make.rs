@@ -27,7 +27,6 @@ impl Summary {
         let slam = &tracked.run.slam;
         let graph = slam.graph_stats();
         let points = maps.map_or(0, |maps| maps.stats.points);
-        let (width, height) = input.size();
         let repeated = count(tracked, |fate| matches!(fate, FrameFate::Repeated));
         let mut summary = Self {
             source: input.name.clone(),
@@ -74,7 +73,7 @@ impl Summary {
             inertial: None,
             profile: settings.config.profile.name(),
             seed: settings.config.seed,
-            working_size: [width, height],
+            working_size: input.size().into(),
             threads: settings.threads,
             motion: input.motion.map(|motion| name(motion.did)),
             trust: None,

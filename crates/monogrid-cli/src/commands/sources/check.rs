@@ -182,6 +182,14 @@ impl Seen {
     }
 }
 
+/// The median and the largest of the differences of successive times.
+fn gaps(times: &[f64]) -> (f64, f64) {
+    let gaps = times.windows(2).map(|pair| pair[1] - pair[0]);
+    let mut gaps: Vec<f64> = gaps.collect();
+    let largest = gaps.iter().copied().fold(0.0, f64::max);
+    (median(&mut gaps).unwrap_or(0.0), largest)
+}
+
 impl CheckReport {
     fn new((input, motion): (&Input, CameraMotion), seen: &Seen) -> Self {
         let dataset = match &input.images {
@@ -195,9 +203,7 @@ impl CheckReport {
         let (width, height) = input.size();
         let times = &seen.times;
         let seconds = times.last().unwrap_or(&0.0) - times.first().unwrap_or(&0.0);
-        let gaps = || times.windows(2).map(|pair| pair[1] - pair[0]);
-        let largest_gap = gaps().fold(0.0, f64::max);
-        let usual_gap = median(&mut gaps().collect::<Vec<_>>()).unwrap_or(0.0);
+        let (usual_gap, largest_gap) = gaps(times);
         let inertial = input.inertial.as_ref();
         let mut report = Self {
             source: input.name.clone(),
