@@ -80,8 +80,8 @@ pub fn command() -> clap::Command {
 
 const EXIT_CODES: &str = "\
 Exit codes: 0 done, 1 failed while running, 2 wrong usage or bad input,
-3 finished, but tracking never started or was lost for good (what was mapped is saved), or
-  recordings stay apart,
+3 finished, but tracking never started or was lost for good, fewer than half of the frames have a
+  pose that is certain (what was mapped is saved), or recordings stay apart,
 4 interrupted (what was mapped until then is saved), 130 interrupted again: nothing more is saved.
 
 First steps:  monogrid demo
