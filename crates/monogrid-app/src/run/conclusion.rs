@@ -83,9 +83,10 @@ pub fn verdict(summary: &Summary, tracked: &Tracked) -> String {
             after_losses(num_lost, num_apart)
         ),
         Status::Uncertain => format!(
-            "{share} % of the frames have a pose, but too little in view held most of them: the \
-             map may be wrong. Film so that something with texture is always in view, and nobody \
-             fills it."
+            "{share} % of the frames have a pose, but only {} % one that is certain: too little in \
+             view held the others, and the map may be wrong. Film so that something with texture \
+             is always in view, and nobody fills it.",
+            percent(summary.tracked - summary.uncertain, summary.frames)
         ),
         Status::Done => done(summary, &share),
     }
