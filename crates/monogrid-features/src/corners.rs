@@ -459,6 +459,19 @@ mod tests {
     }
 
     #[test]
+    fn strong_noise_has_no_corners_either() {
+        let found = |mut image: GrayImage| {
+            add_noise(&mut image, 8.0, 3);
+            let pyramid = Pyramid::new(image, 1);
+            detect_corners(&pyramid, None, &[], &CornerConfig::default()).len()
+        };
+        let flat = found(GrayImage::filled(320, 240, 128.0));
+        assert!(flat < 10, "{flat} of noise");
+        let textured = found(Texture::new(5).render(320, 240, |x, y| (x, y)));
+        assert!(textured > 100, "{textured} of a texture");
+    }
+
+    #[test]
     fn corners_move_with_the_image() {
         let texture = Texture::new(5);
         let config = CornerConfig {

@@ -16,7 +16,7 @@ const MAX_TURN_DEG: f64 = 0.4;
 /// roots of the traces of the two blocks of its covariance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct PoseSigma {
-    /// Of its place, in units of the world.
+    /// Of its place, median depths of what it sees.
     pub place: f64,
     /// Of its orientation, rad.
     pub turn: f64,
@@ -29,19 +29,20 @@ impl PoseSigma {
         turn: f64::INFINITY,
     };
 
-    /// From the covariance of an update `[v, w]`.
-    pub(crate) fn of(covariance: &Mat6) -> Self {
+    /// From the covariance of an update `[v, w]` in units of the world, and the median depth in
+    /// them.
+    pub(crate) fn of(covariance: &Mat6, median_depth: f64) -> Self {
         let variances = covariance.diagonal();
         Self {
-            place: variances.fixed_rows::<3>(0).sum().sqrt(),
+            place: variances.fixed_rows::<3>(0).sum().sqrt() / median_depth,
             turn: variances.fixed_rows::<3>(3).sum().sqrt(),
         }
     }
 
-    /// Whether the pose is certain, of a keyframe with this median depth.
-    pub(crate) fn is_certain(&self, median_depth: f64) -> bool {
+    /// Whether the pose is certain.
+    pub(crate) fn is_certain(&self) -> bool {
         // NaN is not
-        self.place <= MAX_PLACE * median_depth && self.turn <= MAX_TURN_DEG.to_radians()
+        self.place <= MAX_PLACE && self.turn <= MAX_TURN_DEG.to_radians()
     }
 }
 
@@ -53,25 +54,24 @@ mod tests {
     #[test]
     fn the_trace_of_each_block_counts() {
         let variances = Vec6::new(1.0, 4.0, 4.0, 4.0, 16.0, 16.0);
-        let sigma = PoseSigma::of(&Mat6::from_diagonal(&variances));
-        assert_eq!((sigma.place, sigma.turn), (3.0, 6.0));
+        let sigma = PoseSigma::of(&Mat6::from_diagonal(&variances), 2.0);
+        assert_eq!((sigma.place, sigma.turn), (1.5, 6.0));
     }
 
     #[test]
     fn a_pose_is_certain_when_points_hold_both_its_place_and_its_orientation() {
         let limit = PoseSigma {
-            place: 2.0 * MAX_PLACE,
+            place: MAX_PLACE,
             turn: MAX_TURN_DEG.to_radians(),
         };
-        assert!(limit.is_certain(2.0));
-        assert!(!limit.is_certain(1.99), "it sees what is nearer");
+        assert!(limit.is_certain());
         for (place, turn) in [(1.01, 1.0), (1.0, 1.01), (f64::NAN, 1.0), (1.0, f64::NAN)] {
             let looser = PoseSigma {
                 place: place * limit.place,
                 turn: turn * limit.turn,
             };
-            assert!(!looser.is_certain(2.0), "{looser:?}");
+            assert!(!looser.is_certain(), "{looser:?}");
         }
-        assert!(!PoseSigma::UNKNOWN.is_certain(2.0));
+        assert!(!PoseSigma::UNKNOWN.is_certain());
     }
 }

@@ -62,8 +62,7 @@ impl MapKeyframe {
 
     /// Whether its pose is certain; so is that of a world, and where nothing measures it.
     pub(crate) fn is_certain(&self) -> bool {
-        let unit = self.world_from_keyframe.scale;
-        self.pose_sigma.is_none_or(|sigma| sigma.is_certain(unit))
+        self.pose_sigma.is_none_or(|sigma| sigma.is_certain())
     }
 
     /// Pose in the world of a frame known relative to this keyframe (translation in its units).

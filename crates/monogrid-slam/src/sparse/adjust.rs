@@ -148,7 +148,7 @@ fn adjust_by(
         return Adjustment::default();
     };
     match solve(&problem) {
-        Ok(solution) => problem.adjustment(&solution),
+        Ok(solution) => problem.adjustment(map, &solution),
         Err(error) => Adjustment {
             failure: Some(error),
             ..Adjustment::default()
@@ -250,21 +250,24 @@ impl Problem {
     }
 
     /// How well the last pose is known beside those that were not adjusted, if it was.
-    fn last(&self, solution: &BundleSolution) -> Option<(KeyframeId, PoseSigma)> {
+    fn last(&self, map: &Map, solution: &BundleSolution) -> Option<(KeyframeId, PoseSigma)> {
+        let id = *self.keyframes.last()?;
         let is_free = self.bundle.keyframes.last()?.freedom != PoseFreedom::Fixed;
         let covariance = solution.covariance.as_ref()?.poses.last()?;
-        is_free.then_some((*self.keyframes.last()?, PoseSigma::of(covariance)))
+        // the unit of a keyframe is about the median depth
+        let median_depth = map[id].world_from_keyframe.scale;
+        is_free.then(|| (id, PoseSigma::of(covariance, median_depth)))
     }
 
     /// What a solution says about keyframes and points.
-    fn adjustment(&self, solution: &BundleSolution) -> Adjustment {
+    fn adjustment(&self, map: &Map, solution: &BundleSolution) -> Adjustment {
         let camera_from_world = solution.camera_from_world.iter().copied();
         let idepths = solution.inverse_depths.iter().copied();
         let keyframes = self.keyframes.iter().copied();
         let points = self.points.iter().copied();
         let observations = self.bundle.observations.iter();
         Adjustment {
-            last: self.last(solution),
+            last: self.last(map, solution),
             camera_from_world: keyframes.zip(camera_from_world).collect(),
             idepths: points.zip(idepths).collect(),
             refuted: observations
