@@ -10,7 +10,7 @@ mod common;
 
 use common::{PINHOLE, Random, SceneOptions, cpu_seconds, disturb, scene};
 use monogrid_geometry::{Mat7, Se3, Sim3, Vec3, Vec6, Vec7};
-use monogrid_graph::bundle::{BundleConfig, PoseFreedom, adjust};
+use monogrid_graph::bundle::{BundleConfig, CovarianceOf, PoseFreedom, adjust};
 use monogrid_graph::pose_graph::{GraphEdge, GraphNode, PoseGraph, PoseGraphConfig};
 use monogrid_graph::{MapMatch, PoseOnlyConfig, RobustKernel, refine_pose};
 use std::time::Instant;
@@ -26,10 +26,14 @@ fn time_bundle() {
     scene.problem.keyframes[0].freedom = PoseFreedom::Fixed;
     scene.problem.keyframes[1].freedom = PoseFreedom::Fixed;
     disturb(&mut scene.problem, 0.02, 0.05, 2);
-    for with_covariance in [false, true] {
+    for covariance in [
+        CovarianceOf::Nothing,
+        CovarianceOf::Poses,
+        CovarianceOf::PosesAndPoints,
+    ] {
         let config = BundleConfig {
             min_relative_decrease: 1e-6,
-            with_covariance,
+            covariance,
             ..BundleConfig::default()
         };
         let mut solution = adjust(&scene.problem, &config).unwrap();
@@ -41,7 +45,7 @@ fn time_bundle() {
         let mean = (cpu_seconds(&clock) - start) / 50.0;
         println!(
             "bundle: 15 keyframes, 1500 points, {} observations, {} iterations, covariance \
-             {with_covariance}: {:.2} ms, cost {:.0} -> {:.0}, {:?}",
+             {covariance:?}: {:.2} ms, cost {:.0} -> {:.0}, {:?}",
             scene.problem.observations.len(),
             solution.iterations,
             mean * 1e3,

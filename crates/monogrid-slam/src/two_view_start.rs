@@ -20,7 +20,8 @@ use monogrid_features::{
 };
 use monogrid_geometry::{Pinhole, Se3, Vec2};
 use monogrid_graph::bundle::{
-    AnchoredPoint, BundleConfig, BundleKeyframe, BundleProblem, Observation, PoseFreedom, adjust,
+    AnchoredPoint, BundleConfig, BundleKeyframe, BundleProblem, CovarianceOf, Observation,
+    PoseFreedom, adjust,
 };
 use monogrid_graph::{MapMatch, PoseOnlyConfig, refine_pose};
 use monogrid_image::{Mask, Pyramid};
@@ -348,7 +349,7 @@ impl Reference {
         let problem = self.bundle_problem(views, points, pinhole, settings.sigma_px);
         let bundle_config = BundleConfig {
             max_iterations: 20,
-            with_covariance: true,
+            covariance: CovarianceOf::PosesAndPoints,
             ..BundleConfig::default()
         };
         let solution = adjust(&problem, &bundle_config).map_err(|_| LostReason::AmbiguousStart)?;

@@ -131,8 +131,20 @@ pub struct BundleConfig {
     pub initial_damping: f64,
     /// Bounds kept by every inverse depth. Default `1e-6 ..= 1e6`.
     pub inverse_depth_range: (f64, f64),
-    /// Whether to compute variances of inverse depths and poses. Default off.
-    pub with_covariance: bool,
+    /// What covariances are computed of. Default nothing.
+    pub covariance: CovarianceOf,
+}
+
+/// What covariances are computed of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum CovarianceOf {
+    /// Nothing.
+    #[default]
+    Nothing,
+    /// Poses.
+    Poses,
+    /// Poses, and the inverse depth of each point, which takes about twice as long.
+    PosesAndPoints,
 }
 
 impl Default for BundleConfig {
@@ -147,7 +159,7 @@ impl Default for BundleConfig {
             rejection_rounds: 1,
             initial_damping: 1e-5,
             inverse_depth_range: (1e-6, 1e6),
-            with_covariance: false,
+            covariance: CovarianceOf::Nothing,
         }
     }
 }
@@ -193,7 +205,8 @@ pub enum BundleOutcome {
 /// Uncertainty of a solution, given the fixed poses.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BundleCovariance {
-    /// Per point the variance of its inverse depth; `None` where nothing constrains it.
+    /// Per point the variance of its inverse depth, if it was asked for; `None` where nothing
+    /// constrains it.
     pub inverse_depth_variances: Vec<Option<f64>>,
     /// Per keyframe the covariance of its left update `[v, w]`; zero when fixed.
     pub poses: Vec<Mat6>,

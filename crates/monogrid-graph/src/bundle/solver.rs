@@ -5,7 +5,7 @@ use super::prepare::{Layout, NO_PAIR};
 use super::schur::{Step, pose_covariance, solve_step};
 use super::{
     Appearance, BundleConfig, BundleCovariance, BundleOutcome, BundleProblem, BundleSolution,
-    ObservationOutcome, PoseFreedom,
+    CovarianceOf, ObservationOutcome, PoseFreedom,
 };
 use crate::damping::Damping;
 use monogrid_geometry::{Mat6, Se3, Vec6};
@@ -40,10 +40,9 @@ pub(super) fn solve(
             }
         }
     }
-    let covariance = if config.with_covariance {
-        covariance(&window, &state)
-    } else {
-        None
+    let covariance = match config.covariance {
+        CovarianceOf::Nothing => None,
+        of => covariance(&window, &state, of == CovarianceOf::PosesAndPoints),
     };
     BundleSolution {
         observations: classify(&window, &state, config),
@@ -157,7 +156,7 @@ fn classify(window: &Window, state: &State, config: &BundleConfig) -> Vec<Observ
 
 /// Inverse of the undamped Hessian, for poses by the Schur complement and for each point
 /// `1/h + (w/h)' S^-1 (w/h)`.
-fn covariance(window: &Window, state: &State) -> Option<BundleCovariance> {
+fn covariance(window: &Window, state: &State, of_points: bool) -> Option<BundleCovariance> {
     let normal = window.linearise(state);
     let all = pose_covariance(window, &normal, state)?;
     let variance = |point: usize| {
@@ -179,8 +178,9 @@ fn covariance(window: &Window, state: &State) -> Option<BundleCovariance> {
             all.fixed_view::<6, 6>(6 * k, 6 * k).into_owned()
         })
     };
+    let num_points = if of_points { normal.h_points.len() } else { 0 };
     Some(BundleCovariance {
-        inverse_depth_variances: (0..normal.h_points.len()).map(variance).collect(),
+        inverse_depth_variances: (0..num_points).map(variance).collect(),
         poses: window.layout.slot_of_keyframe.iter().map(pose).collect(),
     })
 }

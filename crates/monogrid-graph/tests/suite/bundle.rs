@@ -6,8 +6,9 @@ use crate::common::{
 use monogrid_geometry::{Mat6, Se3, Vec2, Vec6};
 use monogrid_graph::RobustKernel;
 use monogrid_graph::bundle::{
-    Appearance, BundleConfig, BundleError, BundleOutcome, BundleSolution, InverseDepthPrior,
-    Observation, ObservationOutcome, PixelSlope, PoseFreedom, adjust, adjust_to_images,
+    Appearance, BundleConfig, BundleError, BundleOutcome, BundleSolution, CovarianceOf,
+    InverseDepthPrior, Observation, ObservationOutcome, PixelSlope, PoseFreedom, adjust,
+    adjust_to_images,
 };
 
 fn options() -> SceneOptions {
@@ -253,7 +254,7 @@ fn variances_are_honest_over_many_noises() {
         let config = BundleConfig {
             kernel: RobustKernel::None,
             rejection_rounds: 0,
-            with_covariance: true,
+            covariance: CovarianceOf::PosesAndPoints,
             max_iterations: 30,
             min_relative_decrease: 1e-10,
             ..BundleConfig::default()
@@ -286,11 +287,35 @@ fn variances_are_honest_over_many_noises() {
 }
 
 #[test]
+fn the_covariance_of_poses_is_the_one_without_that_of_points_too() {
+    let mut scene = scene(&options());
+    for keyframe in &mut scene.problem.keyframes[..2] {
+        keyframe.freedom = PoseFreedom::Fixed;
+    }
+    let covariance = |of: CovarianceOf| {
+        let config = BundleConfig {
+            covariance: of,
+            ..BundleConfig::default()
+        };
+        adjust(&scene.problem, &config).unwrap().covariance
+    };
+    assert_eq!(covariance(CovarianceOf::Nothing), None);
+    let poses = covariance(CovarianceOf::Poses).unwrap();
+    let all = covariance(CovarianceOf::PosesAndPoints).unwrap();
+    assert_eq!(poses.poses, all.poses);
+    assert!(poses.inverse_depth_variances.is_empty());
+    assert_eq!(
+        all.inverse_depth_variances.len(),
+        scene.problem.points.len()
+    );
+}
+
+#[test]
 fn open_gauge_has_no_covariance_but_still_converges() {
     let mut scene = scene(&options());
     scene.problem.keyframes[0].freedom = PoseFreedom::Fixed; // scale is open
     let config = BundleConfig {
-        with_covariance: true,
+        covariance: CovarianceOf::PosesAndPoints,
         ..BundleConfig::default()
     };
     let solution = adjust(&scene.problem, &config).unwrap();

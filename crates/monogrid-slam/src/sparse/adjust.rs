@@ -9,7 +9,7 @@ use monogrid_geometry::Pinhole;
 use monogrid_graph::RobustKernel;
 use monogrid_graph::bundle::{
     AnchoredPoint, BundleConfig, BundleError, BundleKeyframe, BundleProblem, BundleSolution,
-    InverseDepthPrior, Observation, PoseFreedom, adjust, adjust_to_images,
+    CovarianceOf, InverseDepthPrior, Observation, PoseFreedom, adjust, adjust_to_images,
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -62,7 +62,7 @@ pub(crate) fn adjust_window(map: &Map, pinhole: &Pinhole, config: &SparseConfig)
     };
     let free = window(map, newest, config);
     let settings = BundleConfig {
-        with_covariance: true,
+        covariance: CovarianceOf::Poses,
         ..bundle_settings(MAX_ITERATIONS, config)
     };
     let adjustment = adjust_by(map, newest.fragment, free, &lens, &|problem| {
