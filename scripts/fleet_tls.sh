@@ -1,10 +1,12 @@
 #!/usr/bin/env bash
-# What TLS costs an agent of the fleet: a recording is delivered over TCP and over TLS in turn, without a limit of the rate, and the medians of the
-# times of sending are compared. Then an agent that believes another authority tries, and must not be let in.
+# What TLS costs an agent of the fleet: a recording is delivered over TCP and over TLS in turn,
+# without a limit of the rate, and the medians of the times of sending are compared. Then an agent
+# that believes another authority tries, and must not be let in.
 #
 #   scripts/fleet_tls.sh [RECORDING]
 #
-# Without a recording (.mgk) it renders a room and runs on it. Needs openssl. BIN: another binary of monogrid-fleet, built otherwise; ROUNDS: how often (9).
+# Without a recording (.mgk) it renders a room and runs on it. Needs openssl. BIN: another binary of
+# monogrid-fleet, built otherwise; ROUNDS: how often (9).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

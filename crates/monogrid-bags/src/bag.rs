@@ -269,7 +269,7 @@ impl Bag {
         self.images_in(topic, self.levels(topic))
     }
 
-    /// The same in these levels, where they have 16 bits.
+    /// All images of a topic; those of 16 bits are stretched by these levels.
     #[must_use]
     pub fn images_in(&self, topic: &Topic, levels: Levels) -> Images {
         let path = self.path.clone();

@@ -133,8 +133,8 @@ impl Files {
         }
     }
 
-    /// Whether the accelerometer shows downwards at rest: iOS counts so, unless the application has
-    /// been told to count as Android does.
+    /// Whether the accelerometer points downwards at rest: so it does on iOS, unless the
+    /// application was set to Android's convention.
     fn is_downwards(&self) -> Result<bool, DatasetError> {
         let Some(path) = &self.metadata else {
             return match &self.gravity {

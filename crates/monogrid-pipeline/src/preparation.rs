@@ -10,7 +10,7 @@ use monogrid_image::{GrayImage, Image, Mask, Photometric, Undistorter, WorkingSi
 pub struct Preparation {
     camera: Camera,
     size: WorkingSize,
-    /// What of the images may be used, of their size.
+    /// Pixels of the images that may be used, of their size.
     mask: Option<Mask>,
     undistorter: Undistorter,
     photometric: Photometric,

@@ -483,7 +483,7 @@ impl OccupancyMap {
         Ok(Self::of(Arc::new(map.map_err(of_map)?)))
     }
 
-    /// The same map; cells are copied when one of the two is changed.
+    /// A copy, at once: cells are copied when one of the two is changed.
     fn copy(&self, py: Python) -> Self {
         py.detach(|| {
             let inner = read(&self.inner);

@@ -229,7 +229,7 @@ fn logs_of_phones_have_a_file_for_each_sensor() {
     check_log(at, [0.0, 0.5, 10.0], "TotalAcceleration.csv");
     check_log(&at.join("Gyroscope.csv"), [0.0, 0.5, 10.0], "Gyroscope.csv");
 
-    // and on iOS, where gravity is apart, and counted downwards unless it is told not to
+    // iOS has gravity in a file of its own, downwards unless the application was set otherwise
     fs::remove_file(at.join("TotalAcceleration.csv")).unwrap();
     let error = ImuFile::read(at).unwrap_err().to_string();
     assert!(error.contains("Metadata.csv"), "{error}");

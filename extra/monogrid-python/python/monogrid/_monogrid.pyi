@@ -113,7 +113,7 @@ class OccupancyMap:
     def crop(self, low: Sequence[float], high: Sequence[float]) -> OccupancyMap:
         """The part in a box."""
     def copy(self) -> OccupancyMap:
-        """The same map; cells are copied when one of the two is changed."""
+        """A copy, at once: cells are copied when one of the two is changed."""
     @property
     def resolution(self) -> float:
         """Edge of a cell."""

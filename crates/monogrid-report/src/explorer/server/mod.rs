@@ -87,7 +87,7 @@ impl Answer {
         }
     }
 
-    /// The same, for those who ask whether all is well: it is not.
+    /// This answer with the status 503: the service is not available.
     #[must_use]
     pub fn unavailable(self) -> Self {
         let status = "503 Service Unavailable";
