@@ -447,7 +447,7 @@ impl Pipeline {
         }
         Finished {
             map_size,
-            trajectory: slam.trajectory(),
+            trajectory: slam.whole_trajectory(),
             poses: slam.snapshot(),
             slam,
             maps: Some(maps),

@@ -106,6 +106,7 @@ impl SensedFrame {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::PoseSource;
     use monogrid_geometry::{Se3, rotation_exp, z_up_from_camera_world};
     use monogrid_inertial::{GRAVITY_M_S2, ImuNoise, ImuSample};
 
@@ -130,7 +131,7 @@ mod tests {
             frame_index: k as usize,
             timestamp_ns: k * 33_000_000,
             world_from_camera: Se3::new(Rotation::identity(), place(k as f64 * 0.033) / unit),
-            is_certain: true,
+            source: PoseSource::Certain,
         };
         let poses: Vec<TrajectoryPose> = (0..180).map(pose).collect();
         InertialPath::new(Arc::new(imu), &poses, EstimateConfig::default(), is_metric)

@@ -216,7 +216,18 @@ pub struct TrajectoryPose {
     pub timestamp_ns: i64,
     /// Pose with all that is known now.
     pub world_from_camera: Se3,
-    /// Whether what the images show holds the pose of its keyframe: to a hundredth of the median
-    /// depth and 0.4 degrees (one standard deviation, beside the keyframes before).
-    pub is_certain: bool,
+    /// What it comes from.
+    pub source: PoseSource,
+}
+
+/// What the pose of a frame comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PoseSource {
+    /// Its image, and what the images show holds the pose of its keyframe: to a hundredth of the
+    /// median depth and 0.4 degrees (one standard deviation, beside the keyframes before).
+    Certain,
+    /// Its image, and less holds the pose of its keyframe.
+    Uncertain,
+    /// The frames before and after it: in its own image the camera is lost.
+    Interpolated,
 }

@@ -46,18 +46,23 @@ pub(crate) enum Demand {
     Convincing,
     /// The same, and almost all points fit: the camera may be anywhere.
     ConvincingAfterLoss,
+    /// What no image can: the camera cannot have come there.
+    Impossible,
 }
 
-/// Points that agree leave no doubt. Right after a loss the camera is near where it was expected,
-/// and a pose there needs no more than that of any other frame; a camera that moves on has no
-/// second chance.
+/// A pose that the motion of the camera cannot lead to is of another thing than the room, however
+/// many points agree with it. Else points that agree leave no doubt. Right after a loss the camera
+/// is near where it was expected, and a pose there needs no more than that of any other frame; a
+/// camera that moves on has no second chance.
 pub(crate) fn demand(tracked: &Tracked, lost_in_a_row: usize) -> Demand {
-    let is_near = lost_in_a_row <= RETURN_NEAR_FRAMES && !tracked.is_surprising;
-    if tracked.support != Support::None {
+    let is_near = lost_in_a_row <= RETURN_NEAR_FRAMES && !tracked.has_other_gain;
+    if tracked.is_beyond_gate {
+        Demand::Impossible
+    } else if tracked.support != Support::None {
         Demand::None
     } else if lost_in_a_row > 0 && !is_near {
         Demand::ConvincingAfterLoss
-    } else if tracked.is_surprising || tracked.state == TrackingState::Degraded {
+    } else if tracked.has_other_gain || tracked.state == TrackingState::Degraded {
         Demand::Convincing
     } else {
         Demand::None
@@ -71,16 +76,13 @@ pub(crate) const fn may_be_confirmed(state: TrackingState, is_surprising: bool) 
 }
 
 /// How far a pose by points is believed, of which the pixels say so much, and why. Where they
-/// disagree altogether it is believed, but the frame says nothing about the depth of the keyframe;
-/// unless the pose is also far from where the motion leads: points of another place agree among
-/// themselves. Too few pixels with depth are no contradiction: the frame gives more of them theirs.
+/// disagree altogether it is believed, but the frame says nothing about the depth of the keyframe.
+/// Too few pixels with depth are no contradiction: the frame gives more of them theirs.
 pub(crate) const fn state_at_points(
     by_pixels: TrackingState,
     reason: Option<LostReason>,
-    is_far: bool,
 ) -> TrackingState {
     match by_pixels {
-        TrackingState::Lost if is_far => TrackingState::Lost,
         TrackingState::Lost if matches!(reason, Some(LostReason::NoTexture)) => TrackingState::Good,
         TrackingState::Lost => TrackingState::Degraded,
         TrackingState::Degraded | TrackingState::Good => TrackingState::Good,
@@ -226,20 +228,28 @@ mod tests {
     use crate::tracker::tests::perfect;
 
     #[test]
-    fn points_overrule_pixels_only_near_where_the_motion_leads() {
+    fn points_overrule_pixels() {
         use TrackingState::{Degraded, Good, Lost};
-        for (by_pixels, near, far) in [
-            (Good, Good, Good),
-            (Degraded, Good, Good),
-            (Lost, Degraded, Lost),
-        ] {
+        for (by_pixels, state) in [(Good, Good), (Degraded, Good), (Lost, Degraded)] {
             let reason = Some(LostReason::Residuals);
-            assert_eq!(state_at_points(by_pixels, reason, false), near);
-            assert_eq!(state_at_points(by_pixels, reason, true), far);
+            assert_eq!(state_at_points(by_pixels, reason), state);
         }
         let few = Some(LostReason::NoTexture);
-        assert_eq!(state_at_points(Lost, few, false), Good);
-        assert_eq!(state_at_points(Lost, few, true), Lost);
+        assert_eq!(state_at_points(Lost, few), Good);
+    }
+
+    #[test]
+    fn nothing_makes_a_pose_beyond_the_gate_believed() {
+        for support in [Support::None, Support::Held { num_points: 300 }] {
+            for lost_in_a_row in [0, 1, 100] {
+                let tracked = Tracked {
+                    is_beyond_gate: true,
+                    support,
+                    ..doubtful(false, TrackingState::Good)
+                };
+                assert_eq!(demand(&tracked, lost_in_a_row), Demand::Impossible);
+            }
+        }
     }
 
     #[test]
@@ -360,10 +370,11 @@ mod tests {
     }
 
     /// A pose that no points support.
-    fn doubtful(is_surprising: bool, state: TrackingState) -> Tracked {
+    fn doubtful(has_other_gain: bool, state: TrackingState) -> Tracked {
         Tracked {
             alignment: perfect(1000),
-            is_surprising,
+            is_beyond_gate: false,
+            has_other_gain,
             support: Support::None,
             state,
             reason: None,
@@ -372,13 +383,13 @@ mod tests {
 
     #[test]
     fn near_the_prediction_a_loss_is_forgiven_for_some_frames() {
-        let after = |lost_in_a_row: usize, is_surprising: bool, is_degraded: bool| {
+        let after = |lost_in_a_row: usize, has_other_gain: bool, is_degraded: bool| {
             let state = if is_degraded {
                 TrackingState::Degraded
             } else {
                 TrackingState::Good
             };
-            demand(&doubtful(is_surprising, state), lost_in_a_row)
+            demand(&doubtful(has_other_gain, state), lost_in_a_row)
         };
         let near = RETURN_NEAR_FRAMES;
         assert_eq!(after(0, false, false), Demand::None);

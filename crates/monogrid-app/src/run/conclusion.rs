@@ -86,7 +86,7 @@ pub fn verdict(summary: &Summary, tracked: &Tracked) -> String {
             "{share} % of the frames have a pose, but only {} % one that is certain: too little in \
              view held the others, and the map may be wrong. Film so that something with texture \
              is always in view, and nobody fills it.",
-            percent(summary.tracked - summary.uncertain, summary.frames)
+            percent(summary.certain(), summary.frames)
         ),
         Status::Done => done(summary, &share),
     }
@@ -102,7 +102,12 @@ fn done(summary: &Summary, share: &str) -> String {
         );
     }
     let losses = after_losses(summary.lost_episodes, summary.num_apart());
-    format!("{share} % of the frames have a pose; {losses}.")
+    let interpolated = (summary.interpolated > 0).then(|| {
+        let share = percent(summary.interpolated, summary.frames);
+        format!(" ({share} % by the frames before and after short losses)")
+    });
+    let interpolated = interpolated.unwrap_or_default();
+    format!("{share} % of the frames have a pose{interpolated}; {losses}.")
 }
 
 /// What became of tracking after it was lost so many times, of which so many left fragments that

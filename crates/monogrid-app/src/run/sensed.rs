@@ -5,7 +5,7 @@ use crate::run::tracking::tracked::Tracked;
 use monogrid_datasets::TimedPose;
 use monogrid_geometry::{Se3, Vec3};
 use monogrid_inertial::{Estimate, EstimateConfig, Fix, Observation, estimate};
-use monogrid_slam::Scale;
+use monogrid_slam::{PoseSource, Scale};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -80,6 +80,7 @@ fn observations(tracked: &Tracked) -> Vec<Observation> {
     let rows = tracked.rows.iter().filter(|row| row.report().is_some());
     let blind = rows.map(|row| (row.timestamp_ns, None));
     let poses = tracked.run.trajectory.iter();
+    let poses = poses.filter(|pose| pose.source != PoseSource::Interpolated);
     let seen = poses.map(|pose| (pose.timestamp_ns, Some((0, pose.world_from_camera))));
     // the later ones stay
     let frames: BTreeMap<i64, _> = blind.chain(seen).collect();

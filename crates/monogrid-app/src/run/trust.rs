@@ -67,7 +67,7 @@ fn of_depth(summary: &Summary) -> [Doubt; 4] {
 }
 
 fn of_places(summary: &Summary) -> [Doubt; 8] {
-    let missing = 1.0 - summary.tracked as f64 / summary.frames.max(1) as f64;
+    let missing = 1.0 - summary.seen() as f64 / summary.frames.max(1) as f64;
     let is_open = summary.loop_closures == 0 && summary.keyframes >= OPEN_PATH;
     let uncertain = summary.uncertain as f64 / summary.tracked.max(1) as f64;
     [

@@ -1,8 +1,10 @@
 //! Frames with a believed pose, each relative to the keyframe that it was tracked on.
 
 use super::arena::Map;
-use crate::{FragmentId, KeyframeId, TrackedFrame, TrajectoryPose};
+use crate::interpolation::{LostFrame, SeenPose, interpolated};
+use crate::{FragmentId, KeyframeId, MAIN_MAP, PoseSource, TrackedFrame, TrajectoryPose};
 use monogrid_geometry::{Se3, Vec3, Vec6};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// A tracked frame, relative to its keyframe.
 #[derive(Clone, Copy, Debug)]
@@ -30,17 +32,20 @@ pub(crate) struct VisitEnd {
     pub frame_from_next: Se3,
 }
 
-/// All frames with a believed pose.
+/// All frames with a believed pose, and those that were lost.
 #[derive(Clone, Debug, Default)]
 pub(super) struct FrameLog {
     visits: Vec<Visit>,
     records: Vec<Record>,
+    lost: Vec<LostFrame>,
 }
 
 impl FrameLog {
     /// Memory, bytes.
     pub(super) fn bytes(&self) -> usize {
-        size_of_val(self.records.as_slice()) + size_of_val(self.visits.as_slice())
+        size_of_val(self.records.as_slice())
+            + size_of_val(self.visits.as_slice())
+            + size_of_val(self.lost.as_slice())
     }
 }
 
@@ -159,6 +164,14 @@ impl Map {
         }
     }
 
+    /// A frame has no pose; one that comes later may give it one.
+    pub(crate) fn miss(&mut self, frame_index: usize, timestamp_ns: i64) {
+        self.frames.lost.push(LostFrame {
+            frame_index,
+            timestamp_ns,
+        });
+    }
+
     /// The last frame with a pose.
     pub(crate) fn last_record(&self) -> Option<&Record> {
         self.frames.records.last()
@@ -188,18 +201,49 @@ impl Map {
     /// about the last of them, all ways from the keyframe are stretched alike as far as that
     /// explains it, and the rest of the difference is spread over the frames of the visit.
     pub(crate) fn trajectory_in(&self, fragment: FragmentId) -> Vec<TrajectoryPose> {
-        let mut poses: Vec<TrajectoryPose> = self
-            .corrected_poses()
-            .filter(|(_, keyframe, _)| self[*keyframe].fragment == fragment)
-            .map(|(record, keyframe, world_from_camera)| TrajectoryPose {
-                frame_index: record.frame_index,
-                timestamp_ns: record.timestamp_ns,
-                world_from_camera,
-                is_certain: self[keyframe].is_certain(),
-            })
-            .collect();
+        let seen = self.seen_in(fragment).into_iter();
+        seen.map(|seen| seen.pose).collect()
+    }
+
+    /// The frames of the main map, and between them those that were lost for a short time.
+    pub(crate) fn whole_trajectory(&self) -> Vec<TrajectoryPose> {
+        let seen = self.seen_in(MAIN_MAP);
+        // a frame that was lost may have been found from one that came after it
+        let known: BTreeSet<usize> = self.frames.records.iter().map(|r| r.frame_index).collect();
+        let lost = self.frames.lost.iter();
+        let lost = lost.filter(|frame| !known.contains(&frame.frame_index));
+        // one that waited for a start was lost twice
+        let lost: BTreeMap<i64, LostFrame> =
+            lost.map(|frame| (frame.timestamp_ns, *frame)).collect();
+        let lost: Vec<LostFrame> = lost.into_values().collect();
+        let between = interpolated(&seen, &lost);
+        let seen = seen.into_iter().map(|seen| seen.pose);
+        let mut poses: Vec<TrajectoryPose> = seen.chain(between).collect();
         poses.sort_by_key(|pose| (pose.timestamp_ns, pose.frame_index));
         poses
+    }
+
+    fn seen_in(&self, fragment: FragmentId) -> Vec<SeenPose> {
+        let mut seen: Vec<SeenPose> = self
+            .corrected_poses()
+            .map(|(record, keyframe, pose)| (record, &self[keyframe], pose))
+            .filter(|(_, keyframe, _)| keyframe.fragment == fragment)
+            .map(|(record, keyframe, world_from_camera)| SeenPose {
+                pose: TrajectoryPose {
+                    frame_index: record.frame_index,
+                    timestamp_ns: record.timestamp_ns,
+                    world_from_camera,
+                    source: if keyframe.is_certain() {
+                        PoseSource::Certain
+                    } else {
+                        PoseSource::Uncertain
+                    },
+                },
+                median_depth: keyframe.world_from_keyframe.scale,
+            })
+            .collect();
+        seen.sort_by_key(|seen| (seen.pose.timestamp_ns, seen.pose.frame_index));
+        seen
     }
 
     /// The frames of all fragments relative to their keyframes, in the order of time.

@@ -98,7 +98,8 @@ mod tests {
                 keyframe: 0,
                 tracked: Tracked {
                     alignment: perfect(1000),
-                    is_surprising: false,
+                    is_beyond_gate: false,
+                    has_other_gain: false,
                     support: Support::None,
                     state,
                     reason: None,

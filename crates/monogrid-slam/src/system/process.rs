@@ -193,6 +193,9 @@ impl Slam {
         let in_use = InUse::of(tracker, depth);
         let recovery = (self.recovery).step(&self.setup, &self.map, frame, &found, in_use);
         self.recover(recovery, &mut report);
+        if report.state == TrackingState::Lost {
+            self.map.miss(report.index, report.timestamp_ns);
+        }
         self.stopwatch.lap(|times| &mut times.graph);
         report
     }

@@ -326,7 +326,15 @@ impl Slam {
         self.trajectory_in(MAIN_MAP)
     }
 
-    /// The same of a fragment, in its own world; empty once it is joined to another.
+    /// The same, and between them frames in which the camera was lost for a short time: where it
+    /// would be if it went on as it moved. As long as the error of that is small, by how much the
+    /// camera accelerates elsewhere, and for a second and a half at most.
+    #[must_use]
+    pub fn whole_trajectory(&self) -> Vec<TrajectoryPose> {
+        self.map.whole_trajectory()
+    }
+
+    /// The frames of a fragment with a pose, in its own world; empty once it is joined to another.
     #[must_use]
     pub fn trajectory_in(&self, fragment: FragmentId) -> Vec<TrajectoryPose> {
         self.map.trajectory_in(fragment)

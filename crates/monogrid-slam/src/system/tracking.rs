@@ -6,7 +6,9 @@ use crate::frame::{BufferedFrame, Frame};
 use crate::map::Map;
 use crate::policy::{Demand, demand};
 use crate::setup::Setup;
-use crate::tracker::{MotionPrior, PointMap, Task, Tracked, extrapolate, is_convincing};
+use crate::tracker::{
+    Accelerations, FIRST_GATE, MotionPrior, PointMap, Task, Tracked, extrapolate, is_convincing,
+};
 use crate::{KeyframeId, LostReason, TrackingState};
 use monogrid_alignment::{DepthPixel, Motion, Reference};
 use monogrid_geometry::{Rotation, Se3, Vec3};
@@ -182,25 +184,35 @@ pub(super) struct Last {
     /// time.
     pub frame_from_previous: Se3,
     pub interval_ns: i64,
+    accelerations: Accelerations,
 }
 
 impl Last {
     /// A frame after another, if that one's pose is known.
     pub(super) fn after(previous: Option<&Self>, frame: &Frame, motion: Motion) -> Self {
-        let (frame_from_previous, interval_ns) = match previous {
-            Some(last) => (
-                motion.frame_from_keyframe * last.motion.frame_from_keyframe.inverse(),
-                (frame.timestamp_ns - last.timestamp_ns).abs(),
-            ),
-            None => (Se3::identity(), 0),
+        let (frame_from_previous, interval_ns, accelerations) = match previous {
+            Some(last) => last.step_to(frame, &motion),
+            None => (Se3::identity(), 0, Accelerations::default()),
         };
         Self {
+            accelerations,
             timestamp_ns: frame.timestamp_ns,
             pyramid: Arc::clone(&frame.pyramid),
             motion,
             frame_from_previous,
             interval_ns,
         }
+    }
+
+    /// The step from this frame to another, its time, and how the camera accelerated up to there.
+    fn step_to(&self, frame: &Frame, motion: &Motion) -> (Se3, i64, Accelerations) {
+        let step = motion.frame_from_keyframe * self.motion.frame_from_keyframe.inverse();
+        let interval_ns = (frame.timestamp_ns - self.timestamp_ns).abs();
+        let times = (self.interval_ns, interval_ns);
+        let expected = extrapolate(&self.frame_from_previous, self.interval_ns, interval_ns);
+        let mut accelerations = self.accelerations.clone();
+        accelerations.add((&step, &expected), times);
+        (step, interval_ns, accelerations)
     }
 
     /// A first keyframe, from where the camera moves by a step.
@@ -234,6 +246,7 @@ pub(super) fn motion_prior(setup: &Setup, last: &Last, timestamp_ns: i64) -> Mot
     MotionPrior {
         last_from_keyframe: last.motion,
         frame_from_last: turn.map_or(frame_from_last, |turn| turned(&frame_from_last, turn)),
+        gate: last.accelerations.gate(last.interval_ns, interval_ns),
     }
 }
 
@@ -255,6 +268,7 @@ pub(super) fn track_on_other(
     let prior = MotionPrior {
         last_from_keyframe: predicted,
         frame_from_last: Se3::identity(),
+        gate: FIRST_GATE,
     };
     Task::new(setup, &reference, frame, &prior).track(None)
 }
@@ -273,13 +287,19 @@ fn doubt(setup: &Setup, tracked: Tracked, lost_in_a_row: usize) -> Tracked {
         Demand::None => true,
         Demand::Convincing => is_convincing(&tracked.alignment, false, config),
         Demand::ConvincingAfterLoss => is_convincing(&tracked.alignment, true, config),
+        Demand::Impossible => false,
+    };
+    let reason = if tracked.is_beyond_gate {
+        LostReason::Jump
+    } else {
+        LostReason::Residuals
     };
     if tracked.state == TrackingState::Lost || is_believed {
         return tracked;
     }
     Tracked {
         state: TrackingState::Lost,
-        reason: Some(LostReason::Residuals),
+        reason: Some(reason),
         ..tracked
     }
 }

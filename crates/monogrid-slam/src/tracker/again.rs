@@ -4,7 +4,7 @@
 //! is a few pixels wide: before a plain wall it slides off with them, from a prediction that was
 //! right. The finest levels alone do not.
 
-use super::{MotionPrior, is_surprising, judge};
+use super::{MotionPrior, has_other_gain, judge};
 use crate::{TrackingConfig, TrackingState};
 use monogrid_alignment::Alignment;
 
@@ -17,7 +17,8 @@ const RETRY_CORRELATION: f64 = 0.8;
 pub(super) fn is_weak(alignment: &Alignment, prior: &MotionPrior, config: &TrackingConfig) -> bool {
     let (state, _) = judge(alignment, config);
     state != TrackingState::Good
-        || is_surprising(alignment, prior)
+        || prior.is_beyond_gate(&alignment.motion)
+        || has_other_gain(alignment, prior)
         || alignment.correlation.unwrap_or(0.0) < RETRY_CORRELATION
 }
 
@@ -48,7 +49,7 @@ const MIN_RESIDUAL: f64 = 0.1;
 
 #[cfg(test)]
 mod tests {
-    use super::super::SURPRISING_MOTION;
+    use super::super::FIRST_GATE;
     use super::super::tests::perfect;
     use super::*;
     use monogrid_alignment::Motion;
@@ -58,6 +59,7 @@ mod tests {
         MotionPrior {
             last_from_keyframe: Motion::from_pose(Se3::identity()),
             frame_from_last: Se3::identity(),
+            gate: FIRST_GATE,
         }
     }
 
@@ -69,7 +71,7 @@ mod tests {
         assert!(is_weak(&perfect(config.min_holding_points - 1)));
         let moved = Se3::new(
             Se3::identity().rotation,
-            Vec3::new(2.0 * SURPRISING_MOTION, 0.0, 0.0),
+            Vec3::new(2.0 * FIRST_GATE, 0.0, 0.0),
         );
         assert!(is_weak(&Alignment {
             motion: Motion::from_pose(moved),

@@ -16,10 +16,6 @@ use crate::policy::{may_be_confirmed, state_at_points};
 use monogrid_alignment::{Alignment, AlignmentConfig, Motion};
 use monogrid_image::Pyramid;
 
-/// Largest difference from where the motion of the last frames leads (norm of the twist, median
-/// depths and rad) of a pose that points gave and no pixels of the keyframe agree with.
-const MAX_JUMP: f64 = 0.6;
-
 impl Task<'_> {
     /// Tracks the frame by its pixels, then by the points of the map, if there is one.
     pub(crate) fn track_with_points(
@@ -34,13 +30,13 @@ impl Task<'_> {
         let pyramid = &self.frame.pyramid;
         let by_alignment = aligned.alignment.motion;
         let pose = &by_alignment.frame_from_keyframe;
-        if may_be_confirmed(aligned.state, aligned.is_surprising) && map.confirms(pyramid, pose) {
+        if may_be_confirmed(aligned.state, aligned.is_surprising()) && map.confirms(pyramid, pose) {
             return Tracked {
                 support: Support::Confirmed,
                 ..aligned
             };
         }
-        if aligned.state != TrackingState::Lost {
+        if aligned.state != TrackingState::Lost && !aligned.is_beyond_gate {
             let covariance = aligned.alignment.covariance.as_ref();
             if let Some(points) = map.pose_near(pyramid, pose, covariance) {
                 return self.at_points(aligned, &points, by_alignment);
@@ -69,16 +65,9 @@ impl Task<'_> {
         };
         let alignment = self.look(&motion);
         let (by_pixels, reason) = judge(&alignment, self.config);
-        let is_far = self.prior.distance_to(&motion) > MAX_JUMP;
-        let state = state_at_points(by_pixels, reason, is_far);
-        if state == TrackingState::Lost {
-            return Tracked {
-                state,
-                reason,
-                ..aligned
-            };
-        }
+        let state = state_at_points(by_pixels, reason);
         Tracked {
+            is_beyond_gate: self.is_beyond_gate(&alignment.motion),
             alignment,
             support: Support::Held {
                 num_points: points.num_inliers,

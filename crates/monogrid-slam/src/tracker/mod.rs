@@ -4,16 +4,18 @@ mod again;
 mod combine;
 mod config;
 mod points;
+mod prior;
 
 pub use self::config::{PointTrackingConfig, TrackingConfig};
 pub(crate) use self::points::PointMap;
+pub(crate) use self::prior::{Accelerations, FIRST_GATE, MotionPrior, extrapolate};
 
 use self::again::{better, is_weak};
 use crate::frame::Frame;
 use crate::setup::Setup;
 use crate::{LostReason, TrackingState};
 use monogrid_alignment::{Alignment, AlignmentConfig, Freedom, Motion, Reference, align};
-use monogrid_geometry::{Se3, Vec3, Vec6, rotation_exp};
+use monogrid_geometry::{Se3, Vec3, rotation_exp};
 use monogrid_image::Pyramid;
 
 /// A turn is believed when this share of the visible points fits.
@@ -28,38 +30,8 @@ const ACCEPT_GOOD_OF_VISIBLE: f32 = 0.85;
 const ACCEPT_VISIBLE_SHARE: f32 = 0.5;
 /// Fewest points on the finest level, and fewest pixels with depth of a start.
 pub(crate) const MIN_POINTS: usize = 60;
-/// Largest difference from where the motion of the last frames leads (norm of the twist, median
-/// depths and rad) that is no surprise.
-const SURPRISING_MOTION: f64 = 0.2;
 /// Largest change of the logarithm of the gain from one frame to the next that is no surprise.
 const SURPRISING_LOG_GAIN: f64 = 0.2;
-
-/// What is known before the frame is looked at.
-#[derive(Clone, Debug)]
-pub(crate) struct MotionPrior {
-    /// Pose of the last frame.
-    pub last_from_keyframe: Motion,
-    /// Motion expected between the last frame and this one.
-    pub frame_from_last: Se3,
-}
-
-impl MotionPrior {
-    /// Where the motion of the last frames leads.
-    fn motion(&self) -> Motion {
-        let last = &self.last_from_keyframe;
-        Motion {
-            frame_from_keyframe: self.frame_from_last * last.frame_from_keyframe,
-            ..*last
-        }
-    }
-
-    /// How far a pose is from there: norm of the twist, median depths and rad.
-    fn distance_to(&self, motion: &Motion) -> f64 {
-        let expected = self.motion().frame_from_keyframe;
-        let difference = motion.frame_from_keyframe * expected.inverse();
-        difference.log().norm()
-    }
-}
 
 /// What points of the sparse layer say about a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,12 +51,21 @@ pub(crate) enum Support {
 #[derive(Clone, Debug)]
 pub(crate) struct Tracked {
     pub alignment: Alignment,
-    /// Whether the pose is far from where the motion of the last frames leads: then another picture
-    /// may have been "explained".
-    pub is_surprising: bool,
+    /// Whether the pose is farther from where the motion of the last frames leads than the camera
+    /// can be: then another thing than the room may have been "explained".
+    pub is_beyond_gate: bool,
+    /// Whether the brightness is another than that of the last frame.
+    pub has_other_gain: bool,
     pub support: Support,
     pub state: TrackingState,
     pub reason: Option<LostReason>,
+}
+
+impl Tracked {
+    /// Whether the frame is not what was expected.
+    pub(crate) fn is_surprising(&self) -> bool {
+        self.is_beyond_gate || self.has_other_gain
+    }
 }
 
 /// A frame that is to be tracked on a keyframe.
@@ -159,12 +140,18 @@ impl<'a> Task<'a> {
         }
         let (state, reason) = judge(&alignment, config);
         Tracked {
-            is_surprising: is_surprising(&alignment, prior),
+            is_beyond_gate: self.is_beyond_gate(&alignment.motion),
+            has_other_gain: has_other_gain(&alignment, prior),
             alignment,
             support: Support::None,
             state,
             reason,
         }
+    }
+
+    /// Whether the camera cannot have come to a pose; it can where its motion is not followed.
+    fn is_beyond_gate(&self, motion: &Motion) -> bool {
+        self.config.motion_hypotheses && self.prior.is_beyond_gate(motion)
     }
 
     fn align(&self, start: &Motion, config: &AlignmentConfig) -> Alignment {
@@ -201,9 +188,9 @@ impl<'a> Task<'a> {
     }
 }
 
-fn is_surprising(alignment: &Alignment, prior: &MotionPrior) -> bool {
+fn has_other_gain(alignment: &Alignment, prior: &MotionPrior) -> bool {
     let change = alignment.motion.log_gain - prior.last_from_keyframe.log_gain;
-    prior.distance_to(&alignment.motion) > SURPRISING_MOTION || change.abs() > SURPRISING_LOG_GAIN
+    change.abs() > SURPRISING_LOG_GAIN
 }
 
 /// Whether a coarse alignment is good enough to stop looking for a better start.
@@ -280,19 +267,6 @@ pub(crate) fn is_convincing(
         && (!was_lost || alignment.good_of_visible >= config.return_good_of_visible)
         && alignment.usage >= config.return_usage
         && alignment.motion.log_gain.abs() <= config.return_max_log_gain
-}
-
-/// Intervals that a motion is continued over at most: beyond them nothing is known about a hand.
-const MOST_INTERVALS: f64 = 3.0;
-
-/// The motion per nanosecond continued over another interval.
-pub(crate) fn extrapolate(frame_from_last: &Se3, interval_ns: i64, next_interval_ns: i64) -> Se3 {
-    if interval_ns <= 0 {
-        return Se3::identity();
-    }
-    let factor = (next_interval_ns as f64 / interval_ns as f64).clamp(0.0, MOST_INTERVALS);
-    let twist: Vec6 = frame_from_last.log() * factor;
-    Se3::exp(&twist)
 }
 
 #[cfg(test)]

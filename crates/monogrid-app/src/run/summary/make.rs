@@ -12,7 +12,7 @@ use crate::run::tracking::frames::{FrameFate, FrameRow};
 use crate::run::tracking::tracked::Tracked;
 
 use monogrid_mapping::Maps;
-use monogrid_slam::{KeyframeId, Scale, Slam};
+use monogrid_slam::{KeyframeId, PoseSource, Scale, Slam};
 use std::collections::BTreeSet;
 
 impl Summary {
@@ -35,7 +35,8 @@ impl Summary {
             frames: num_frames(input, tracked) - repeated,
             repeated,
             tracked: tracked.run.trajectory.len(),
-            uncertain: tracked.run.trajectory.len() - tracked.num_certain(),
+            uncertain: tracked.num_from(PoseSource::Uncertain),
+            interpolated: tracked.num_from(PoseSource::Interpolated),
             skipped: count(tracked, |fate| matches!(fate, FrameFate::Skipped(_))),
             dropped: count(tracked, |fate| matches!(fate, FrameFate::Dropped)),
             latency_ms: Latency::of(&tracked.rows),
@@ -62,10 +63,7 @@ impl Summary {
             map: map_facts(maps, settings),
             peak_rss_bytes: None,
             memory_bytes: tracked.run.map_size.bytes,
-            scale: match is_metric(tracked, frame) {
-                true => METRIC,
-                false => ARBITRARY,
-            },
+            scale: scale_name(is_metric(tracked, frame)),
             frame: frame.description.clone(),
             up: frame.up,
             floor: frame.floor,
@@ -85,6 +83,10 @@ impl Summary {
         summary.take_times();
         summary
     }
+}
+
+fn scale_name(is_metric: bool) -> &'static str {
+    if is_metric { METRIC } else { ARBITRARY }
 }
 
 /// Frames of the source: where nothing was tracked, those that were looked at.

@@ -157,6 +157,9 @@ pub struct Summary {
     pub tracked: usize,
     /// Those of them whose pose is uncertain: too little in view held it.
     pub uncertain: usize,
+    /// Those of them in which the camera was lost for a short time: their pose follows from those
+    /// before and after.
+    pub interpolated: usize,
     /// Frames of the source that repeat the one before and were left out.
     pub repeated: usize,
     /// Unreadable frames.
@@ -274,6 +277,16 @@ impl Summary {
     /// Name of the unit of length.
     pub fn unit(&self) -> &'static str {
         unit_name(self.scale == METRIC)
+    }
+
+    /// Frames with a pose from their image.
+    pub fn seen(&self) -> usize {
+        self.tracked - self.interpolated
+    }
+
+    /// Those of them with a pose that is certain.
+    pub fn certain(&self) -> usize {
+        self.seen() - self.uncertain
     }
 
     /// Fragments that were not joined.

@@ -8,7 +8,7 @@ use crate::run::tracking::frames::{FrameFate, FrameRow};
 use crate::run::tracking::tracked::EarlyEnd;
 use crate::run::tracking::tracked::Tracked;
 use monogrid_calibration::CameraMotion;
-use monogrid_slam::TrackingState;
+use monogrid_slam::{PoseSource, TrackingState};
 use serde::Serialize;
 
 /// How a run ended, as `summary.json` says it.
@@ -60,9 +60,7 @@ impl Status {
             None => match end_of(&tracked.rows) {
                 Some(TrackingState::Lost) => Self::Lost,
                 Some(_) if !has_last_frame(tracked) => Self::Fragment,
-                _ if !is_half(tracked.run.trajectory.len(), &tracked.rows) => Self::Partial,
-                _ if !is_half(tracked.num_certain(), &tracked.rows) => Self::Uncertain,
-                _ => Self::Done,
+                _ => by_poses(tracked),
             },
         }
     }
@@ -82,6 +80,19 @@ impl Status {
             // said as a failure
             Self::Done | Self::Unreadable | Self::BrokeOff | Self::Failed => Outcome::Done,
         }
+    }
+}
+
+/// How it ended by how many frames have a pose from their image, and how many one that is certain.
+fn by_poses(tracked: &Tracked) -> Status {
+    let certain = tracked.num_from(PoseSource::Certain);
+    let seen = certain + tracked.num_from(PoseSource::Uncertain);
+    if !is_half(seen, &tracked.rows) {
+        Status::Partial
+    } else if !is_half(certain, &tracked.rows) {
+        Status::Uncertain
+    } else {
+        Status::Done
     }
 }
 

@@ -104,7 +104,7 @@ impl Salvage {
     pub fn keep(&self, slam: &Slam, size: (usize, usize), num_frames: usize) {
         let kept = Kept {
             num_frames,
-            trajectory: slam.trajectory(),
+            trajectory: slam.whole_trajectory(),
             keyframes: slam.keyframes(),
             poses: slam.snapshot(),
             camera: KeyframeCamera::new(*slam.pinhole(), size),

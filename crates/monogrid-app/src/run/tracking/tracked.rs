@@ -3,6 +3,7 @@
 use super::frames::FrameRow;
 use monogrid_calibration::CameraMotion;
 use monogrid_pipeline::Finished;
+use monogrid_slam::PoseSource;
 use std::time::Duration;
 
 /// Why a run ended before its last frame.
@@ -52,9 +53,9 @@ pub struct Tracked {
 }
 
 impl Tracked {
-    /// Frames with a pose in the map that is certain.
-    pub fn num_certain(&self) -> usize {
+    /// Frames with a pose in the map that comes from this.
+    pub fn num_from(&self, source: PoseSource) -> usize {
         let poses = self.run.trajectory.iter();
-        poses.filter(|pose| pose.is_certain).count()
+        poses.filter(|pose| pose.source == source).count()
     }
 }

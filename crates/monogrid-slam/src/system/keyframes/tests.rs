@@ -12,7 +12,8 @@ fn tracked_at(distance: f64) -> Tracked {
     alignment.motion.frame_from_keyframe = Se3::new(Rotation::identity(), -place);
     Tracked {
         alignment,
-        is_surprising: false,
+        is_beyond_gate: false,
+        has_other_gain: false,
         support: Support::None,
         state: TrackingState::Good,
         reason: None,

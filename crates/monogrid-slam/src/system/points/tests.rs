@@ -3,7 +3,7 @@ use crate::map::{Adjustment, MapKeyframe, Observation};
 use crate::sparse::SparseConfig;
 use crate::system::Slam;
 use crate::test_world::small_demo;
-use crate::{FrameInput, KeyframeId, MAIN_MAP, SlamConfig};
+use crate::{FrameInput, KeyframeId, MAIN_MAP, PoseSource, SlamConfig, TrajectoryPose};
 use monogrid_geometry::{Se3, Vec3, Vec6};
 use monogrid_image::Mask;
 use monogrid_worlds::SynthSequence;
@@ -260,7 +260,8 @@ fn a_keyframe_is_certain_while_it_shares_points_with_others() {
     let is_held = |k: &&MapKeyframe| k.pose_sigma.is_some() && k.is_certain();
     assert_eq!(others.iter().filter(is_held).count(), others.len());
     let before = slam.trajectory();
-    assert!(before.iter().all(|pose| pose.is_certain));
+    let is_certain = |pose: &TrajectoryPose| pose.source == PoseSource::Certain;
+    assert!(before.iter().all(is_certain));
 
     let newest = slam.map.newest().unwrap();
     let seen = newest.points.all().map(|i| (i, &slam.map.points()[i]));
@@ -279,7 +280,7 @@ fn a_keyframe_is_certain_while_it_shares_points_with_others() {
     let certain = slam
         .trajectory()
         .iter()
-        .filter(|pose| pose.is_certain)
+        .filter(|pose| is_certain(pose))
         .count();
     assert!(certain < before.len(), "frames on it are not either");
 }
