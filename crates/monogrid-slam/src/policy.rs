@@ -46,20 +46,21 @@ pub(crate) enum Demand {
     Convincing,
     /// The same, and almost all points fit: the camera may be anywhere.
     ConvincingAfterLoss,
-    /// What no image can: the camera cannot have come there.
-    Impossible,
+    /// Points, since no image can: the camera cannot have come there.
+    Points,
 }
 
-/// A pose that the motion of the camera cannot lead to is of another thing than the room, however
-/// many points agree with it. Else points that agree leave no doubt. Right after a loss the camera
-/// is near where it was expected, and a pose there needs no more than that of any other frame; a
-/// camera that moves on has no second chance.
+/// Points that agree leave no doubt: those near where the motion leads were asked first, and if
+/// none of them do, the pose before may be wrong. Pixels alone that lead beyond the gate are of
+/// another thing than the room. Right after a loss the camera is near where it was expected, and a
+/// pose there needs no more than that of any other frame; a camera that moves on has no second
+/// chance.
 pub(crate) fn demand(tracked: &Tracked, lost_in_a_row: usize) -> Demand {
     let is_near = lost_in_a_row <= RETURN_NEAR_FRAMES && !tracked.has_other_gain;
-    if tracked.is_beyond_gate {
-        Demand::Impossible
-    } else if tracked.support != Support::None {
+    if tracked.support != Support::None {
         Demand::None
+    } else if tracked.is_beyond_gate {
+        Demand::Points
     } else if lost_in_a_row > 0 && !is_near {
         Demand::ConvincingAfterLoss
     } else if tracked.has_other_gain || tracked.state == TrackingState::Degraded {
@@ -239,15 +240,16 @@ mod tests {
     }
 
     #[test]
-    fn nothing_makes_a_pose_beyond_the_gate_believed() {
-        for support in [Support::None, Support::Held { num_points: 300 }] {
+    fn only_points_make_a_pose_beyond_the_gate_believed() {
+        let held = Support::Held { num_points: 30 };
+        for (support, demanded) in [(Support::None, Demand::Points), (held, Demand::None)] {
             for lost_in_a_row in [0, 1, 100] {
                 let tracked = Tracked {
                     is_beyond_gate: true,
                     support,
                     ..doubtful(false, TrackingState::Good)
                 };
-                assert_eq!(demand(&tracked, lost_in_a_row), Demand::Impossible);
+                assert_eq!(demand(&tracked, lost_in_a_row), demanded);
             }
         }
     }

@@ -287,7 +287,7 @@ fn doubt(setup: &Setup, tracked: Tracked, lost_in_a_row: usize) -> Tracked {
         Demand::None => true,
         Demand::Convincing => is_convincing(&tracked.alignment, false, config),
         Demand::ConvincingAfterLoss => is_convincing(&tracked.alignment, true, config),
-        Demand::Impossible => false,
+        Demand::Points => false,
     };
     let reason = if tracked.is_beyond_gate {
         LostReason::Jump

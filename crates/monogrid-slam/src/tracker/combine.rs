@@ -45,7 +45,11 @@ impl Task<'_> {
         let predicted = self.prior.motion().frame_from_keyframe;
         let starts = [&predicted, pose].into_iter();
         let mut finite = starts.filter(|start| start.is_finite());
-        let Some(points) = finite.find_map(|start| map.pose_around(pyramid, start)) else {
+        // of two things that points belong to, the one that moves as the room did
+        let near = map.pose_near(pyramid, &predicted, None);
+        let Some(points) =
+            near.or_else(|| finite.find_map(|start| map.pose_around(pyramid, start)))
+        else {
             return aligned;
         };
         // the brightness of an alignment that failed means nothing

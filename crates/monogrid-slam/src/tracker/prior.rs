@@ -3,8 +3,8 @@
 //! The camera goes on as it moved between the last two frames. What a pose differs from that is its
 //! innovation; over the time that a frame takes it is an acceleration, and a camera accelerates
 //! about as much in this second as in the last. A pose beyond the gate that follows from it
-//! `[BARSHALOM88]` (section 2.3) is of another thing than the room: of somebody who walks by, whose
-//! points agree with each other as well.
+//! `[BARSHALOM88]` (section 2.3) may be of another thing than the room: of somebody who walks by,
+//! whose points agree with each other as well.
 
 use monogrid_alignment::Motion;
 use monogrid_geometry::{Se3, Vec6};
