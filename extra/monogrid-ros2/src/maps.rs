@@ -6,19 +6,19 @@ use crate::clock::Clock;
 use crate::convert::{Condition, MAX_PATH_POSES, NOT_METRIC, diagnostics};
 use crate::frames::{frame_of_map, map_from_camera};
 use crate::log::{Log, Severity, has_grown};
-use crate::save::save;
+use crate::save::{save, save_to_load};
 use crate::shown::{Seen, Shown};
 use crate::topics::MapTopics;
 use crate::trail::Trail;
 use crate::wheels::Scale;
-use crate::work::{Answer, Counts, News, Tracked, response};
+use crate::work::{Answer, Begun, Counts, Known, News, Tracked, response};
 use monogrid_geometry::{Pinhole, Se3, Sim3};
 use monogrid_mapping::{LiveView, MapReader};
 use monogrid_messages::builtin_interfaces::Time;
 use monogrid_messages::diagnostic_msgs::{ERROR, OK};
 use monogrid_messages::std_msgs::Header;
 use monogrid_occupancy::MapError;
-use monogrid_slam::{Keyframe, PoseSnapshot, TrajectoryPose};
+use monogrid_slam::{Keyframe, PoseSnapshot};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
@@ -143,14 +143,22 @@ impl Maps {
 
     fn take(&mut self, news: News) {
         match news {
-            News::Begun(number, reader, pinhole) => {
+            News::Begun(begun) => {
+                let Begun {
+                    number,
+                    maps,
+                    map_from_world,
+                    pinhole,
+                    finished,
+                } = *begun;
+                self.map_from_world = map_from_world;
                 self.world = Some(World {
                     number,
-                    reader,
+                    reader: maps,
                     pinhole,
                     trail: Trail::default(),
                     poses: Arc::default(),
-                    finished: Vec::new(),
+                    finished,
                     seen: None,
                 });
             }
@@ -160,7 +168,10 @@ impl Maps {
                 self.totals.unusable += 1;
                 self.totals.unusable_because = why;
             }
-            News::Waiting(why) => self.condition = Condition::Waiting(why),
+            News::Waiting(why) => {
+                self.last_image = None;
+                self.condition = Condition::Waiting(why);
+            }
             News::Keyframe(world, keyframe, poses) => {
                 if let Some(keyframe) = keyframe.load() {
                     let said = format!("keyframe {} finished", keyframe.id);
@@ -179,7 +190,7 @@ impl Maps {
                 self.topics.forget();
                 self.condition = Condition::Waiting("begun again".to_owned());
             }
-            News::Save(answer, trajectory) => self.save(answer, &trajectory),
+            News::Save(answer, known) => self.save(answer, known),
         }
     }
 
@@ -263,7 +274,7 @@ impl Maps {
             stamp: newest_image(&world.finished, view.stats.keyframes),
             metres_per_unit: map_from_world.scale / view.map_from_world.scale,
             band_over_base: self.args.height_band,
-            camera_over_base: self.args.frames.mount().translation.z,
+            origin_over_base: self.args.frames.mount().translation.z - map_from_world.translation.z,
             path: &path,
         };
         Shown::new(&view.global, &seen).map(Some)
@@ -283,14 +294,8 @@ impl Maps {
     }
 
     /// Publishes the newest map as a whole and writes the same to files.
-    fn save(&mut self, answer: Answer, trajectory: &[TrajectoryPose]) {
-        let map_from_world = self.frame_of(&self.frame_of_mapper());
-        let poses = trajectory.iter().map(|pose| {
-            let map_from_camera = map_from_camera(&map_from_world, &pose.world_from_camera);
-            (Time::from_nanoseconds(pose.timestamp_ns), map_from_camera)
-        });
-        let poses: Vec<(Time, Se3)> = poses.collect();
-        let saved = self.publish_and_save(&poses);
+    fn save(&mut self, answer: Answer, known: Option<Box<Known>>) {
+        let saved = self.publish_and_save(known);
         let saved = saved.map_err(|error| format!("{error:#}"));
         match &saved {
             Ok(folder) => self
@@ -304,16 +309,23 @@ impl Maps {
         let _ = answer.send(response(saved));
     }
 
-    fn publish_and_save(&mut self, trajectory: &[(Time, Se3)]) -> anyhow::Result<String> {
+    fn publish_and_save(&mut self, known: Option<Box<Known>>) -> anyhow::Result<String> {
         let view = self.look();
         let shown = view.map(|view| self.shown(&view)).transpose()?.flatten();
-        let Some(shown) = shown else {
+        let Some((shown, known)) = shown.zip(known) else {
             anyhow::bail!("there is no map yet: no keyframe is finished");
         };
         self.topics.forget();
         self.topics.publish(self.number, &shown)?;
         let is_metric = self.metres_per_unit().is_some();
-        let folder = save(&self.args.save_dir, &shown, trajectory, is_metric)?;
+        let map_from_world = self.frame_of(&self.frame_of_mapper());
+        let poses = known.trajectory.iter().map(|pose| {
+            let map_from_camera = map_from_camera(&map_from_world, &pose.world_from_camera);
+            (Time::from_nanoseconds(pose.timestamp_ns), map_from_camera)
+        });
+        let poses: Vec<(Time, Se3)> = poses.collect();
+        let folder = save(&self.args.save_dir, &shown, &poses, is_metric)?;
+        save_to_load(&folder, known.map, &map_from_world, is_metric)?;
         let folder = folder.canonicalize().unwrap_or(folder);
         Ok(folder.display().to_string())
     }
