@@ -19,9 +19,9 @@ use monogrid_messages::diagnostic_msgs::{ERROR, OK};
 use monogrid_messages::std_msgs::Header;
 use monogrid_occupancy::MapError;
 use monogrid_slam::{Keyframe, PoseSnapshot};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 /// How often the node says how it is.
@@ -34,7 +34,8 @@ const SILENT_AFTER: Duration = Duration::from_secs(2);
 /// A world that is mapped.
 struct World {
     number: u32,
-    reader: MapReader,
+    coming: Receiver<Result<MapReader, MapError>>,
+    reader: Arc<OnceLock<MapReader>>,
     pinhole: Pinhole,
     trail: Trail,
     poses: Arc<PoseSnapshot>,
@@ -146,6 +147,7 @@ impl Maps {
             News::Begun(begun) => {
                 let Begun {
                     number,
+                    coming,
                     maps,
                     map_from_world,
                     pinhole,
@@ -154,6 +156,7 @@ impl Maps {
                 self.map_from_world = map_from_world;
                 self.world = Some(World {
                     number,
+                    coming,
                     reader: maps,
                     pinhole,
                     trail: Trail::default(),
@@ -218,7 +221,7 @@ impl Maps {
     /// The frame in which the mapper has its maps now.
     fn frame_of_mapper(&self) -> Sim3 {
         let world = self.world.as_ref();
-        let view = world.and_then(|world| world.reader.latest());
+        let view = world.and_then(|world| world.reader.get()?.latest());
         view.map_or(self.map_from_world, |view| view.map_from_world)
     }
 
@@ -239,7 +242,7 @@ impl Maps {
     /// Publishes what somebody wants of the newest map.
     fn publish_new_map(&mut self) -> Result<(), MapError> {
         self.last_look = Some(Instant::now());
-        let Some(view) = self.look() else {
+        let Some(view) = self.look()? else {
             return Ok(());
         };
         if !self.topics.wants(self.number) {
@@ -250,15 +253,23 @@ impl Maps {
     }
 
     /// The newest map, which has a number.
-    fn look(&mut self) -> Option<Arc<LiveView>> {
-        let world = self.world.as_mut()?;
-        let view = world.reader.latest()?;
+    fn look(&mut self) -> Result<Option<Arc<LiveView>>, MapError> {
+        let Some(world) = &mut self.world else {
+            return Ok(None);
+        };
+        if let Ok(reader) = world.coming.try_recv() {
+            // it comes once
+            let _ = world.reader.set(reader?);
+        }
+        let Some(view) = world.reader.get().and_then(MapReader::latest) else {
+            return Ok(None);
+        };
         let is_same = |seen: &Arc<LiveView>| Arc::ptr_eq(seen, &view);
         if !world.seen.as_ref().is_some_and(is_same) {
             world.seen = Some(Arc::clone(&view));
             self.number += 1;
         }
-        Some(view)
+        Ok(Some(view))
     }
 
     /// A map in metres with all that belongs to it.
@@ -310,7 +321,7 @@ impl Maps {
     }
 
     fn publish_and_save(&mut self, known: Option<Box<Known>>) -> anyhow::Result<String> {
-        let view = self.look();
+        let view = self.look()?;
         let shown = view.map(|view| self.shown(&view)).transpose()?.flatten();
         let Some((shown, known)) = shown.zip(known) else {
             anyhow::bail!("there is no map yet: no keyframe is finished");

@@ -59,8 +59,6 @@ pub fn options(args: &Args, work: WorkSender) -> NodeOptions {
         .parameter_validator(Box::new(|name, value| match value {
             ParameterValue::Double(metres) if name == SCALE => told_scale(*metres).map(|_| ()),
             _ if name == SCALE => Err(format!("{SCALE} is a number with a decimal point")),
-            ParameterValue::String(_) => Ok(()),
-            _ if name == LOAD_PATH => Err(format!("{LOAD_PATH} is the name of a folder")),
             _ => Ok(()),
         }))
         // this is called with the first value too

@@ -30,8 +30,8 @@ use monogrid_pipeline::{Event, Pipeline, Settings, Unusable};
 use monogrid_slam::{Effort, FrameReport, KeyframeId, PoseSnapshot, Purpose};
 use std::collections::VecDeque;
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::mpsc::SyncSender;
+use std::sync::{Arc, OnceLock};
 
 /// Publishes where the camera is.
 pub struct PosePublisher {
@@ -217,7 +217,7 @@ pub struct Tracking {
     camera: Result<Camera, String>,
     pipeline: Option<Pipeline>,
     /// Of the pipeline: what its maps are brought to.
-    maps: Option<MapReader>,
+    maps: Arc<OnceLock<MapReader>>,
     /// Number of the world that comes next.
     next_world: u32,
     last_stamp: Option<Time>,
@@ -270,7 +270,7 @@ impl Tracking {
             told_metres_per_unit: args.metres_per_unit,
             camera,
             pipeline: None,
-            maps: None,
+            maps: Arc::default(),
             next_world: 0,
             last_stamp: None,
             publisher,
@@ -381,7 +381,7 @@ impl Tracking {
         self.loaded = loaded;
         self.levels = LiveLevels::default();
         // its threads end by themselves
-        (self.pipeline, self.maps) = (None, None);
+        (self.pipeline, self.maps) = (None, Arc::default());
         self.last_stamp = None;
         self.frames.begin_again();
         if let Some(beside) = &mut self.beside {
@@ -625,7 +625,7 @@ impl Tracking {
     }
 
     fn frame_of_mapper(&self) -> Sim3 {
-        let view = self.maps.as_ref().and_then(MapReader::latest);
+        let view = self.maps.get().and_then(MapReader::latest);
         view.map_or(self.frame_of_settings(), |view| view.map_from_world)
     }
 
@@ -661,11 +661,10 @@ impl Tracking {
         let mut pipeline = pipeline.map_err(|error| error.to_string())?;
         let (news, number) = (self.news.clone(), self.next_world);
         self.next_world += 1;
-        let maps = pipeline.live_map().map_err(|error| error.to_string())?;
-        self.maps = Some(maps.clone());
         self.tell(News::Begun(Box::new(Begun {
             number,
-            maps,
+            coming: pipeline.live_map_later(),
+            maps: Arc::clone(&self.maps),
             map_from_world,
             pinhole: *pipeline.preparation().pinhole(),
             finished: vec![stamp; pipeline.slam().num_keyframes()],

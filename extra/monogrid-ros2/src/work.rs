@@ -10,11 +10,12 @@ use monogrid_mapping::MapReader;
 use monogrid_messages::builtin_interfaces::Time;
 use monogrid_messages::sensor_msgs::{CompressedImage, Image};
 use monogrid_messages::std_srvs::TriggerResponse;
+use monogrid_occupancy::MapError;
 use monogrid_slam::{FrameReport, KeptKeyframe, PoseSnapshot, TrajectoryPose};
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, OnceLock};
 
 /// Images that may wait for tracking: enough to bridge the making of a keyframe, few enough to stay
 /// near the present.
@@ -178,8 +179,10 @@ pub enum News {
 pub struct Begun {
     /// Its number.
     pub number: u32,
-    /// Its maps.
-    pub maps: MapReader,
+    /// Where its maps will arrive: those of a large map that was loaded take a while.
+    pub coming: Receiver<Result<MapReader, MapError>>,
+    /// Where they are put then.
+    pub maps: Arc<OnceLock<MapReader>>,
     /// The frame of its maps, before an inertial sensor has a say.
     pub map_from_world: Sim3,
     /// The pinhole of its keyframes.

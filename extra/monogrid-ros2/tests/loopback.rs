@@ -356,7 +356,7 @@ fn ten_seconds_of_a_small_camera() {
 fn a_saved_map_is_loaded_and_the_camera_is_found_in_it() {
     let film = Film::rendered(&SynthSequence::small_demo().unwrap(), 150);
     let mut loopback = Loopback::start(&[]);
-    let stamps = loopback.run(&film, film.images.len()).stamps;
+    let stamps = loopback.run(&film, 300).stamps;
     loopback.robot.set_scale(2.5).unwrap();
     a_stopped_node_keeps_its_map(&loopback, &film.images[0]);
     let folder = loopback.robot.save().unwrap();
@@ -415,7 +415,7 @@ fn nothing_is_loaded_that_is_no_map(loopback: &Loopback) {
     let refused = loopback.robot.call("load").unwrap_err();
     assert!(refused.contains("load_path"), "{refused}");
     let number = loopback.robot.set("load_path", ParameterValue::Integer(1));
-    assert!(number.unwrap_err().contains("folder"));
+    assert!(number.is_err(), "a number is no folder");
     let nowhere = ParameterValue::String("/nowhere".into());
     loopback.robot.set("load_path", nowhere).unwrap();
     let refused = loopback.robot.call("load").unwrap_err();
@@ -427,23 +427,25 @@ fn nothing_is_loaded_that_is_no_map(loopback: &Loopback) {
 fn the_camera_is_found(loopback: &Loopback, film: &Film, folder: &Path, stamps: &[Time]) {
     let saved = read_trajectory(&folder.join("trajectory.txt")).unwrap();
     let heard = &loopback.heard;
-    let before = heard.heard(|heard| heard.tf.len());
-    let count = film.images.len();
+    let (before, grids) = heard.heard(|heard| (heard.tf.len(), heard.grid_times.len()));
+    let last = film.images.len() - 1;
+    let count = 2 * last;
     let sent = send(&loopback.robot, &loopback.node, film, count);
     heard.wait_until("the camera is found in a map of metres", |heard| {
         let is_metric = heard.fact("metres per unit") == Some("2.5");
-        is_metric && heard.tf.len() > before + count / 4
+        is_metric && heard.tf.len() > before + count / 8
     });
+    // the mapper gives way to everybody else on a busy computer
     heard.wait_until("the map arrives", |heard| {
-        heard.grid.is_some() && heard.full.is_some()
+        heard.grid_times.len() > grids && heard.full.is_some()
     });
     let apart = heard.heard(|heard| {
         let poses = heard.tf[before..].iter().filter_map(|tf| {
             let stamp = tf.transforms[0].header.stamp;
             let k = sent.stamps.iter().position(|sent| *sent == stamp)?;
-            let there = saved
-                .iter()
-                .find(|pose| pose.timestamp_ns == stamps[k].nanoseconds())?;
+            // forth, and back
+            let then = stamps[last - last.abs_diff(k)].nanoseconds();
+            let there = saved.iter().find(|pose| pose.timestamp_ns == then)?;
             let [map_from_odom, odom_from_base] =
                 [0, 1].map(|k| pose_of_transform(&tf.transforms[k].transform).unwrap());
             let map_from_camera = map_from_odom * odom_from_base * mount([0.0; 3], [0.0; 3]);
@@ -458,7 +460,7 @@ fn the_camera_is_found(loopback: &Loopback, film: &Film, folder: &Path, stamps: 
         "{} poses, apart by {median:.3} m, at most {most:.3} m",
         apart.len()
     );
-    assert!(apart.len() > count / 4 && median < 0.05, "{median} m");
+    assert!(apart.len() > count / 16 && median < 0.05, "{median} m");
 }
 
 /// What the tests with a run look at can be wrong.
