@@ -39,8 +39,8 @@ pub fn save(
     Ok(folder)
 }
 
-/// Writes what the service `load` and `monogrid run --continue` go on with: `recording.mgk`, and the
-/// frame of the other files.
+/// Writes what the service `load` and `monogrid run --continue` go on with: `recording.mgk`, and
+/// the frame of the other files.
 ///
 /// # Errors
 /// A folder that cannot be written to, or a keyframe that cannot be read back.

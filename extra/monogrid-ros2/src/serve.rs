@@ -28,8 +28,11 @@ const SCALE: &str = "metres_per_unit";
 /// Name of the parameter that says where the map is that is loaded next.
 const LOAD_PATH: &str = "load_path";
 
+/// What a call of a service asks for.
+type Ask = fn(Answer, &Node) -> Work;
+
 /// What the services ask for; each does it when it is called, and answers then.
-const SERVICES: [(&str, fn(Answer, &Node) -> Work); 5] = [
+const SERVICES: [(&str, Ask); 5] = [
     ("start", |answer, _| Work::Start(answer)),
     ("stop", |answer, _| Work::Stop(answer)),
     ("save", |answer, _| Work::Save(answer)),
@@ -294,7 +297,7 @@ fn take_odometry(
 }
 
 /// Answers a service when its work is done.
-async fn answer(service: &Trigger, work: &WorkSender, node: &Node, ask: fn(Answer, &Node) -> Work) {
+async fn answer(service: &Trigger, work: &WorkSender, node: &Node, ask: Ask) {
     let reply = |_| async {
         let (answer, answered) = oneshot::channel();
         // what nobody takes is dropped, and the answer with it
