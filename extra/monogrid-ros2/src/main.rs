@@ -78,12 +78,8 @@ fn run(args: Args) -> anyhow::Result<()> {
         Some(calibration) => Ok(calibration.camera),
         None => Err(format!("no calibration has come on {} yet", args.info)),
     };
-    let config = RunConfig::resolve(None, args.config.as_deref(), &[]);
-    let config = config.map_err(|f| anyhow::Error::from_boxed(f.into_error()))?;
-    let settings = Settings {
-        readout_ms,
-        ..settings(&args, &config)?
-    };
+    let (config, mut settings) = settings(&args)?;
+    settings.readout_ms = readout_ms;
     let loaded = args.load_path.as_deref().map(Loaded::read).transpose();
     let loaded = loaded.map_err(anyhow::Error::msg)?;
 
@@ -151,10 +147,12 @@ fn say_beginning(log: &Log, args: &Args, loaded: Option<&Loaded>) {
     }
 }
 
-fn settings(args: &Args, config: &RunConfig) -> anyhow::Result<Settings> {
+fn settings(args: &Args) -> anyhow::Result<(RunConfig, Settings)> {
+    let config = RunConfig::resolve(None, args.config.as_deref(), &[]);
+    let config = config.map_err(|f| anyhow::Error::from_boxed(f.into_error()))?;
     let settings = Settings::default();
     let axes = args.frames.mount().rotation;
-    Ok(Settings {
+    let settings = Settings {
         slam: config.slam.clone(),
         mapping: config.mapping.clone(),
         seed: config.seed,
@@ -166,7 +164,8 @@ fn settings(args: &Args, config: &RunConfig) -> anyhow::Result<Settings> {
         imu: args.imu.as_ref().map(|_| imu(args)).transpose()?,
         map_from_world: Sim3::new(1.0, axes, Vec3::zeros()),
         ..settings
-    })
+    };
+    Ok((config, settings))
 }
 
 /// The inertial sensor, before its first reading. The body of its file is the base of the robot.
