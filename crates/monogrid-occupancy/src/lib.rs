@@ -21,7 +21,8 @@
 //! ```
 //!
 //! Depth images are [`ScanData::Image`] as they come, holes included, [`ScanData::Depth`] if few
-//! pixels have a depth. The examples `lidar` and `depth_camera` are whole programs. Scans of a few
+//! pixels have a depth. The examples `lidar` and `depth_camera` are whole programs, `own_sensor`
+//! has a model of its own. Scans of a few
 //! lone points are for [`IntegrationRule::Rays`]: the default rule may miss a point with no others
 //! in the directions around it.
 //!
@@ -125,4 +126,6 @@ pub use query::snapshot::Snapshot;
 pub use scan::{
     DepthImage, DepthPixel, DepthScan, PointScan, PoseSigma, Scan, ScanData, SigmaMode, Similarity,
 };
-pub use sensor::{AndertForm, Buffer, SensorModel, Significance, ThrunForm, normal_cdf};
+pub use sensor::{
+    AndertForm, Buffer, SensorCurve, SensorModel, Significance, ThrunForm, normal_cdf,
+};

@@ -72,6 +72,16 @@ impl Default for Settings {
     }
 }
 
+impl Settings {
+    /// How images of a camera become working images.
+    #[must_use]
+    pub fn preparation(&self, camera: &Camera) -> Preparation {
+        let (mask, photometric) = (self.mask.as_ref(), self.photometric.clone());
+        let prepared = Preparation::new(camera, self.working_size, mask, photometric);
+        prepared.with_readout_ms(self.readout_ms)
+    }
+}
+
 /// Why a pipeline cannot begin, or not end well.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -128,14 +138,7 @@ impl Pipeline {
     /// # Errors
     /// A setting outside its range.
     pub fn new(camera: &Camera, settings: Settings) -> Result<Self, PipelineError> {
-        let preparation = Preparation::new(
-            camera,
-            settings.working_size,
-            settings.mask.as_ref(),
-            settings.photometric.clone(),
-        )
-        .with_readout_ms(settings.readout_ms);
-        Self::with(preparation, settings, None)
+        Self::with(settings.preparation(camera), settings, None)
     }
 
     /// A pipeline for images that are prepared by `preparation` (the settings' size, mask,
@@ -480,9 +483,7 @@ impl Pipeline {
         for event in self.slam.events() {
             let listeners = self.listeners.iter();
             listeners.for_each(|listener| listener.tell(event));
-            if !self.localise_only {
-                self.mapper.tell(event);
-            }
+            self.mapper.tell(event);
         }
     }
 }

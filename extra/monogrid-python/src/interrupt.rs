@@ -3,7 +3,7 @@
 use pyo3::prelude::*;
 use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
-use std::sync::mpsc::{RecvTimeoutError, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::sync::{PoisonError, RwLock};
 use std::thread::{self, Builder};
 use std::time::Duration;
@@ -19,24 +19,23 @@ pub fn wait_for<T: Send + 'static>(
     py: Python,
     work: impl FnOnce() -> T + Send + 'static,
 ) -> PyResult<T> {
-    let (done, mut is_done) = sync_channel(1);
+    let (done, is_done) = sync_channel(1);
     let thread = Builder::new().name("monogrid".to_owned()).spawn(move || {
         // nobody may wait any more
         let _ = done.send(work());
     })?;
+    py.detach(|| result_of(is_done, || thread.join()))
+}
+
+/// The result of a thread that was begun without Python's lock, or Ctrl-C, or its panic.
+fn result_of<T>(is_done: Receiver<T>, join: impl FnOnce() -> thread::Result<()>) -> PyResult<T> {
     loop {
-        let result;
-        (is_done, result) = py.detach(move || {
-            let result = is_done.recv_timeout(LOOK_EVERY);
-            (is_done, result)
-        });
-        match result {
+        match is_done.recv_timeout(LOOK_EVERY) {
             Ok(result) => return Ok(result),
-            Err(RecvTimeoutError::Timeout) => py.check_signals()?,
+            Err(RecvTimeoutError::Timeout) => Python::attach(|py| py.check_signals())?,
             Err(RecvTimeoutError::Disconnected) => {
-                let died = thread.join().err();
                 let nothing = || Box::new("a thread ended without a result") as _;
-                resume_unwind(died.unwrap_or_else(nothing));
+                resume_unwind(join().err().unwrap_or_else(nothing));
             }
         }
     }
@@ -75,22 +74,8 @@ pub fn look_at<L: Send + Sync, I: Sync, T: Send>(
                 // whoever was interrupted has no use for it
                 let _ = done.send(work());
             });
-            loop {
-                match is_done.recv_timeout(LOOK_EVERY) {
-                    Ok(answers) => return Ok(answers),
-                    Err(RecvTimeoutError::Timeout) => {
-                        if let Err(interrupt) = Python::attach(|py| py.check_signals()) {
-                            stop.store(true, Relaxed);
-                            return Err(interrupt);
-                        }
-                    }
-                    Err(RecvTimeoutError::Disconnected) => {
-                        let died = working.join().err();
-                        let nothing = || Box::new("a thread ended without a result") as _;
-                        resume_unwind(died.unwrap_or_else(nothing));
-                    }
-                }
-            }
+            let answers = result_of(is_done, || working.join());
+            answers.inspect_err(|_| stop.store(true, Relaxed))
         })
     })
 }

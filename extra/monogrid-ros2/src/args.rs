@@ -94,6 +94,13 @@ pub struct Args {
     /// Where the service `save` makes new folders
     #[arg(long, value_name = "DIR", default_value = ".")]
     pub save_dir: PathBuf,
+    /// A map to begin in: a folder that `save` has made, or that of a run; parameter `load_path`,
+    /// with which the service `load` begins in another one
+    #[arg(long, value_name = "DIR")]
+    pub load_path: Option<PathBuf>,
+    /// In a map that is loaded the camera is only looked for: the map stays as it is
+    #[arg(long)]
+    pub localise_only: bool,
     /// Threads that work on one image and one map, 0 for as many as there are processors
     #[arg(long, default_value_t = 0)]
     pub threads: usize,

@@ -3,19 +3,20 @@
 use anyhow::Context as _;
 use futures::channel::mpsc;
 use futures::{StreamExt, future, pin_mut};
+use monogrid_app::config::RunConfig;
 use monogrid_datasets::{Calibration, ImuCalibration, printable, read_transform};
 use monogrid_geometry::{Se3, Sim3, Vec3};
 use monogrid_inertial::Imu;
 use monogrid_pipeline::Settings;
 use monogrid_ros2::args::Args;
 use monogrid_ros2::clock::Clock;
+use monogrid_ros2::load::Loaded;
 use monogrid_ros2::log::{Log, LogForm, Severity};
 use monogrid_ros2::maps::Maps;
 use monogrid_ros2::node::{RosNode, connect};
 use monogrid_ros2::serve::{Inputs, options};
-use monogrid_ros2::settings::read_settings;
 use monogrid_ros2::topics::MapTopics;
-use monogrid_ros2::tracking::{PosePublisher, Tracking};
+use monogrid_ros2::tracking::{Beginning, PosePublisher, Tracking};
 use monogrid_ros2::work::{AtEnd, Counts, way_to_work};
 use std::io::{Write, stderr};
 use std::panic::set_hook;
@@ -77,10 +78,10 @@ fn run(args: Args) -> anyhow::Result<()> {
         Some(calibration) => Ok(calibration.camera),
         None => Err(format!("no calibration has come on {} yet", args.info)),
     };
-    let settings = Settings {
-        readout_ms,
-        ..settings(&args)?
-    };
+    let (config, mut settings) = settings(&args)?;
+    settings.readout_ms = readout_ms;
+    let loaded = args.load_path.as_deref().map(Loaded::read).transpose();
+    let loaded = loaded.map_err(anyhow::Error::msg)?;
 
     let context = connect().context("the ROS domain cannot be joined")?;
     let (work_sender, work) = way_to_work();
@@ -97,15 +98,14 @@ fn run(args: Args) -> anyhow::Result<()> {
     let inputs = Inputs::new(&mut node, &args)?;
 
     let map_from_world = settings.map_from_world;
-    let tracking = Tracking::new(
+    say_beginning(&log, &args, loaded.as_ref());
+    let begin = Beginning {
         settings,
-        &args,
+        config,
         camera,
-        publisher,
-        news_sender,
-        Arc::clone(&log),
-    );
-    say_beginning(&log, &args);
+        loaded,
+    };
+    let tracking = Tracking::new(begin, &args, publisher, news_sender, Arc::clone(&log));
     let maps = Maps::new(args, map_from_world, topics, &counts, &log, &clock);
     let (stop, mut stopped) = mpsc::unbounded();
     let named = |name: &str| thread::Builder::new().name(name.to_owned());
@@ -134,23 +134,29 @@ fn run(args: Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn say_beginning(log: &Log, args: &Args) {
+fn say_beginning(log: &Log, args: &Args, loaded: Option<&Loaded>) {
     let version = env!("CARGO_PKG_VERSION");
     let said = format!("monogrid {version} waits for images on {}", args.image);
     log.say(Severity::Info, &said);
+    if let Some(loaded) = loaded {
+        loaded.say(log);
+    }
     if !args.ignored.is_empty() {
         let said = format!("no parameters of this node: {}", args.ignored.join(", "));
         log.say(Severity::Warn, &said);
     }
 }
 
-fn settings(args: &Args) -> anyhow::Result<Settings> {
-    let settings = match &args.config {
-        Some(path) => read_settings(path)?,
-        None => Settings::default(),
-    };
+fn settings(args: &Args) -> anyhow::Result<(RunConfig, Settings)> {
+    let config = RunConfig::resolve(None, args.config.as_deref(), &[]);
+    let config = config.map_err(|f| anyhow::Error::from_boxed(f.into_error()))?;
+    let settings = Settings::default();
     let axes = args.frames.mount().rotation;
-    Ok(Settings {
+    let settings = Settings {
+        slam: config.slam.clone(),
+        mapping: config.mapping.clone(),
+        seed: config.seed,
+        working_size: config.working_size(),
         threads: match args.threads {
             0 => settings.threads,
             threads => threads,
@@ -158,7 +164,8 @@ fn settings(args: &Args) -> anyhow::Result<Settings> {
         imu: args.imu.as_ref().map(|_| imu(args)).transpose()?,
         map_from_world: Sim3::new(1.0, axes, Vec3::zeros()),
         ..settings
-    })
+    };
+    Ok((config, settings))
 }
 
 /// The inertial sensor, before its first reading. The body of its file is the base of the robot.

@@ -6,22 +6,22 @@ use crate::clock::Clock;
 use crate::convert::{Condition, MAX_PATH_POSES, NOT_METRIC, diagnostics};
 use crate::frames::{frame_of_map, map_from_camera};
 use crate::log::{Log, Severity, has_grown};
-use crate::save::save;
+use crate::save::{save, save_to_load};
 use crate::shown::{Seen, Shown};
 use crate::topics::MapTopics;
 use crate::trail::Trail;
 use crate::wheels::Scale;
-use crate::work::{Answer, Counts, News, Tracked, response};
+use crate::work::{Answer, Begun, Counts, Known, News, Tracked, response};
 use monogrid_geometry::{Pinhole, Se3, Sim3};
 use monogrid_mapping::{LiveView, MapReader};
 use monogrid_messages::builtin_interfaces::Time;
 use monogrid_messages::diagnostic_msgs::{ERROR, OK};
 use monogrid_messages::std_msgs::Header;
 use monogrid_occupancy::MapError;
-use monogrid_slam::{Keyframe, PoseSnapshot, TrajectoryPose};
-use std::sync::Arc;
+use monogrid_slam::{Keyframe, PoseSnapshot};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 /// How often the node says how it is.
@@ -34,7 +34,8 @@ const SILENT_AFTER: Duration = Duration::from_secs(2);
 /// A world that is mapped.
 struct World {
     number: u32,
-    reader: MapReader,
+    coming: Receiver<Result<MapReader, MapError>>,
+    reader: Arc<OnceLock<MapReader>>,
     pinhole: Pinhole,
     trail: Trail,
     poses: Arc<PoseSnapshot>,
@@ -143,14 +144,24 @@ impl Maps {
 
     fn take(&mut self, news: News) {
         match news {
-            News::Begun(number, reader, pinhole) => {
+            News::Begun(begun) => {
+                let Begun {
+                    number,
+                    coming,
+                    maps,
+                    map_from_world,
+                    pinhole,
+                    finished,
+                } = *begun;
+                self.map_from_world = map_from_world;
                 self.world = Some(World {
                     number,
-                    reader,
+                    coming,
+                    reader: maps,
                     pinhole,
                     trail: Trail::default(),
                     poses: Arc::default(),
-                    finished: Vec::new(),
+                    finished,
                     seen: None,
                 });
             }
@@ -160,7 +171,10 @@ impl Maps {
                 self.totals.unusable += 1;
                 self.totals.unusable_because = why;
             }
-            News::Waiting(why) => self.condition = Condition::Waiting(why),
+            News::Waiting(why) => {
+                self.last_image = None;
+                self.condition = Condition::Waiting(why);
+            }
             News::Keyframe(world, keyframe, poses) => {
                 if let Some(keyframe) = keyframe.load() {
                     let said = format!("keyframe {} finished", keyframe.id);
@@ -179,7 +193,7 @@ impl Maps {
                 self.topics.forget();
                 self.condition = Condition::Waiting("begun again".to_owned());
             }
-            News::Save(answer, trajectory) => self.save(answer, &trajectory),
+            News::Save(answer, known) => self.save(answer, known),
         }
     }
 
@@ -207,7 +221,7 @@ impl Maps {
     /// The frame in which the mapper has its maps now.
     fn frame_of_mapper(&self) -> Sim3 {
         let world = self.world.as_ref();
-        let view = world.and_then(|world| world.reader.latest());
+        let view = world.and_then(|world| world.reader.get()?.latest());
         view.map_or(self.map_from_world, |view| view.map_from_world)
     }
 
@@ -228,7 +242,7 @@ impl Maps {
     /// Publishes what somebody wants of the newest map.
     fn publish_new_map(&mut self) -> Result<(), MapError> {
         self.last_look = Some(Instant::now());
-        let Some(view) = self.look() else {
+        let Some(view) = self.look()? else {
             return Ok(());
         };
         if !self.topics.wants(self.number) {
@@ -239,15 +253,23 @@ impl Maps {
     }
 
     /// The newest map, which has a number.
-    fn look(&mut self) -> Option<Arc<LiveView>> {
-        let world = self.world.as_mut()?;
-        let view = world.reader.latest()?;
+    fn look(&mut self) -> Result<Option<Arc<LiveView>>, MapError> {
+        let Some(world) = &mut self.world else {
+            return Ok(None);
+        };
+        if let Ok(reader) = world.coming.try_recv() {
+            // it comes once
+            let _ = world.reader.set(reader?);
+        }
+        let Some(view) = world.reader.get().and_then(MapReader::latest) else {
+            return Ok(None);
+        };
         let is_same = |seen: &Arc<LiveView>| Arc::ptr_eq(seen, &view);
         if !world.seen.as_ref().is_some_and(is_same) {
             world.seen = Some(Arc::clone(&view));
             self.number += 1;
         }
-        Some(view)
+        Ok(Some(view))
     }
 
     /// A map in metres with all that belongs to it.
@@ -263,7 +285,7 @@ impl Maps {
             stamp: newest_image(&world.finished, view.stats.keyframes),
             metres_per_unit: map_from_world.scale / view.map_from_world.scale,
             band_over_base: self.args.height_band,
-            camera_over_base: self.args.frames.mount().translation.z,
+            origin_over_base: self.args.frames.mount().translation.z - map_from_world.translation.z,
             path: &path,
         };
         Shown::new(&view.global, &seen).map(Some)
@@ -283,14 +305,8 @@ impl Maps {
     }
 
     /// Publishes the newest map as a whole and writes the same to files.
-    fn save(&mut self, answer: Answer, trajectory: &[TrajectoryPose]) {
-        let map_from_world = self.frame_of(&self.frame_of_mapper());
-        let poses = trajectory.iter().map(|pose| {
-            let map_from_camera = map_from_camera(&map_from_world, &pose.world_from_camera);
-            (Time::from_nanoseconds(pose.timestamp_ns), map_from_camera)
-        });
-        let poses: Vec<(Time, Se3)> = poses.collect();
-        let saved = self.publish_and_save(&poses);
+    fn save(&mut self, answer: Answer, known: Option<Box<Known>>) {
+        let saved = self.publish_and_save(known);
         let saved = saved.map_err(|error| format!("{error:#}"));
         match &saved {
             Ok(folder) => self
@@ -304,16 +320,23 @@ impl Maps {
         let _ = answer.send(response(saved));
     }
 
-    fn publish_and_save(&mut self, trajectory: &[(Time, Se3)]) -> anyhow::Result<String> {
-        let view = self.look();
+    fn publish_and_save(&mut self, known: Option<Box<Known>>) -> anyhow::Result<String> {
+        let view = self.look()?;
         let shown = view.map(|view| self.shown(&view)).transpose()?.flatten();
-        let Some(shown) = shown else {
+        let Some((shown, known)) = shown.zip(known) else {
             anyhow::bail!("there is no map yet: no keyframe is finished");
         };
         self.topics.forget();
         self.topics.publish(self.number, &shown)?;
         let is_metric = self.metres_per_unit().is_some();
-        let folder = save(&self.args.save_dir, &shown, trajectory, is_metric)?;
+        let map_from_world = self.frame_of(&self.frame_of_mapper());
+        let poses = known.trajectory.iter().map(|pose| {
+            let map_from_camera = map_from_camera(&map_from_world, &pose.world_from_camera);
+            (Time::from_nanoseconds(pose.timestamp_ns), map_from_camera)
+        });
+        let poses: Vec<(Time, Se3)> = poses.collect();
+        let folder = save(&self.args.save_dir, &shown, &poses, is_metric)?;
+        save_to_load(&folder, known.map, &map_from_world, is_metric)?;
         let folder = folder.canonicalize().unwrap_or(folder);
         Ok(folder.display().to_string())
     }

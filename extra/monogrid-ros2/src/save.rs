@@ -1,8 +1,10 @@
 //! The map in files, in a new folder each time.
 
 use crate::shown::Shown;
-use monogrid_datasets::{TimedPose, write_tum};
-use monogrid_geometry::Se3;
+use monogrid_app::run::sessions::{MAP_FROM_WORLD, RECORDING};
+use monogrid_app::run::tracking::recorder::MapNow;
+use monogrid_datasets::{TimedPose, format_sim3, write_tum};
+use monogrid_geometry::{Se3, Sim3};
 use monogrid_messages::builtin_interfaces::Time;
 use monogrid_occupancy::{save_atomically, write_bt, write_ot};
 use std::fs;
@@ -37,9 +39,29 @@ pub fn save(
     Ok(folder)
 }
 
+/// Writes what the service `load` and `monogrid run --continue` go on with: `recording.mgk`, and
+/// the frame of the other files.
+///
+/// # Errors
+/// A folder that cannot be written to, or a keyframe that cannot be read back.
+pub fn save_to_load(
+    folder: &Path,
+    map: MapNow,
+    map_from_world: &Sim3,
+    is_metric: bool,
+) -> anyhow::Result<()> {
+    let written = map.write(&folder.join(RECORDING));
+    written.map_err(|failure| anyhow::Error::from_boxed(failure.into_error()))?;
+    fs::write(folder.join(MAP_FROM_WORLD), format_sim3(map_from_world))?;
+    let scale = if is_metric { "metric" } else { "arbitrary" };
+    let summary = format!("{{\"scale\": \"{scale}\", \"frame\": \"the map of a robot\"}}\n");
+    fs::write(folder.join("summary.json"), summary)?;
+    Ok(())
+}
+
 /// What the description of the grid says to people, as comments.
 fn note([low, high]: [f64; 2], is_metric: bool) -> String {
-    let heights = format!("# cells from z = {low:.3} to {high:.3}; the first camera is at z = 0\n");
+    let heights = format!("# cells from z = {low:.3} to {high:.3}\n");
     if is_metric {
         return heights;
     }
@@ -78,7 +100,7 @@ mod tests {
             stamp: path[0].0,
             metres_per_unit: 3.0,
             band_over_base: Some([-1.0, 1.0]),
-            camera_over_base: 0.0,
+            origin_over_base: 0.0,
             path: &path,
         };
         let shown = Shown::new(&map, &seen).unwrap();

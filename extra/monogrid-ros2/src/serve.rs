@@ -7,7 +7,7 @@ use crate::node::{Quality, RosNode, Trigger, Wire};
 use crate::parameters::ParameterServices;
 use crate::work::{Answer, Counts, Picture, Work, WorkSender, response};
 use futures::channel::oneshot;
-use futures::future::{self, OptionFuture};
+use futures::future::{self, OptionFuture, join_all};
 use futures::{Stream, StreamExt};
 use monogrid_messages::geometry_msgs::{Pose, Transform, Vector3};
 use monogrid_messages::nav_msgs::Odometry;
@@ -18,20 +18,46 @@ use monogrid_messages::tf2_msgs::TFMessage;
 use ros2_client::{
     MessageInfo, Node, NodeOptions, ParameterValue, ReadError, ServiceTypeName, Subscription,
 };
+use std::path::PathBuf;
 use std::pin::pin;
 use std::sync::atomic::Ordering::Relaxed;
 
 /// Name of the parameter that says how long a unit of the world is, m; 0 where nobody has told.
 const SCALE: &str = "metres_per_unit";
 
-/// A node with its parameter, which goes to the tracking thread when somebody sets it.
+/// Name of the parameter that says where the map is that is loaded next.
+const LOAD_PATH: &str = "load_path";
+
+/// What a call of a service asks for.
+type Ask = fn(Answer, &Node) -> Work;
+
+/// What the services ask for; each does it when it is called, and answers then.
+const SERVICES: [(&str, Ask); 5] = [
+    ("start", |answer, _| Work::Start(answer)),
+    ("stop", |answer, _| Work::Stop(answer)),
+    ("save", |answer, _| Work::Save(answer)),
+    ("reset", |answer, _| Work::Reset(answer)),
+    ("load", |answer, node| Work::Load(load_path(node), answer)),
+];
+
+fn load_path(node: &Node) -> PathBuf {
+    match node.get_parameter(LOAD_PATH) {
+        Some(ParameterValue::String(path)) => path.into(),
+        _ => PathBuf::new(),
+    }
+}
+
+/// A node with its parameters. The scale goes to the tracking thread when somebody sets it.
 pub fn options(args: &Args, work: WorkSender) -> NodeOptions {
     let value = ParameterValue::Double(args.metres_per_unit.unwrap_or(0.0));
+    let path = args.load_path.as_ref();
+    let path = path.map_or_else(String::new, |path| path.display().to_string());
     NodeOptions::new()
         .enable_rosout(false)
         // they would be answered to some middlewares only: see `parameters`
         .start_parameter_services(false)
         .declare_parameter(SCALE, value)
+        .declare_parameter(LOAD_PATH, ParameterValue::String(path))
         .declare_parameter(SIMULATED, ParameterValue::Boolean(args.use_sim_time))
         .parameter_validator(Box::new(|name, value| match value {
             ParameterValue::Double(metres) if name == SCALE => told_scale(*metres).map(|_| ()),
@@ -63,8 +89,7 @@ pub struct Inputs {
     odometry: Option<OwnOdometry>,
     clock: Subscription<ClockMessage>,
     frames: FrameArgs,
-    save: Trigger,
-    reset: Trigger,
+    services: Vec<Trigger>,
     parameters: ParameterServices,
     is_rectified: bool,
 }
@@ -103,6 +128,7 @@ impl Inputs {
             })
         });
         let trigger = ServiceTypeName::new("std_srvs", "Trigger");
+        let services = SERVICES.map(|(name, _)| node.service(name, &trigger));
         Ok(Self {
             images,
             info: info.transpose()?,
@@ -110,8 +136,7 @@ impl Inputs {
             odometry: odometry.transpose()?,
             clock: node.subscription("/clock", Quality::Clock)?,
             frames: args.frames.clone(),
-            save: node.service("save", &trigger)?,
-            reset: node.service("reset", &trigger)?,
+            services: services.into_iter().collect::<anyhow::Result<_>>()?,
             parameters: ParameterServices::new(node)?,
             is_rectified: args.rectified,
         })
@@ -134,8 +159,9 @@ impl Inputs {
         let imu = self.imu.as_ref();
         let readings = imu.map(|topic| take_readings(topic, work, counts));
         let (info, readings) = (OptionFuture::from(info), OptionFuture::from(readings));
-        let save = answer(&self.save, work, Work::Save);
-        let reset = answer(&self.reset, work, Work::Reset);
+        let services = self.services.iter().zip(SERVICES);
+        let services = services.map(|(service, (_, ask))| answer(service, work, node, ask));
+        let services = future::join(join_all(services), self.parameters.serve(node, clock));
         let take = |pose: Moved<'_>| take_odometry(&pose, &self.frames, work, counts);
         let odometry = async {
             match &self.odometry {
@@ -171,7 +197,6 @@ impl Inputs {
                 }
             }
         };
-        let services = future::join3(save, reset, self.parameters.serve(node, clock));
         let time = take_time(&self.clock, work, clock);
         let others = future::join(services, time);
         future::join5(images, info, readings, odometry, others).await;
@@ -272,11 +297,11 @@ fn take_odometry(
 }
 
 /// Answers a service when its work is done.
-async fn answer(service: &Trigger, work: &WorkSender, ask: fn(Answer) -> Work) {
+async fn answer(service: &Trigger, work: &WorkSender, node: &Node, ask: Ask) {
     let reply = |_| async {
         let (answer, answered) = oneshot::channel();
         // what nobody takes is dropped, and the answer with it
-        let _ = work.send(ask(answer));
+        let _ = work.send(ask(answer, node));
         let ended = |_| response(Err("the node is ending".to_owned()));
         Wire(answered.await.unwrap_or_else(ended))
     };

@@ -17,8 +17,8 @@ pub struct Seen<'a> {
     pub metres_per_unit: f64,
     /// Heights over the base that matter, m; `None` where they follow from the map.
     pub band_over_base: Option<[f64; 2]>,
-    /// How far the camera is above the base, m.
-    pub camera_over_base: f64,
+    /// How far the origin of the map is above where the base was first, m.
+    pub origin_over_base: f64,
     /// Where the camera was: map_from_camera, m.
     pub path: &'a [(Time, Se3)],
 }
@@ -61,10 +61,10 @@ impl Shown {
     }
 }
 
-/// The heights that matter. The origin of the map is where the camera was first.
+/// The heights that matter.
 fn band_in_map(map: &OccupancyMap, seen: &Seen) -> [f64; 2] {
     if let Some(band) = seen.band_over_base {
-        return band.map(|height| height - seen.camera_over_base);
+        return band.map(|height| height - seen.origin_over_base);
     }
     let occupied = map.cells().filter(|cell| cell.state == Occupancy::Occupied);
     let heights = occupied.map(|cell| cell.key.center(map.resolution())[2]);
@@ -100,7 +100,7 @@ mod tests {
             stamp: Time { sec: 3, nanosec: 4 },
             metres_per_unit: 2.0,
             band_over_base: None,
-            camera_over_base: 0.5,
+            origin_over_base: 0.5,
             path,
         }
     }

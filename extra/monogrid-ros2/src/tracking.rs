@@ -3,14 +3,20 @@
 use crate::args::{Args, FrameArgs};
 use crate::clock::BEGINS_AGAIN_NS;
 use crate::convert::{
-    OdometryDeviations, UNKNOWN_DEVIATION, gray_image, gray_of_compressed, odometry_of,
-    transform_of,
+    OdometryDeviations, UNKNOWN_DEVIATION, gray_image, gray_of_compressed, has_words,
+    has_words_compressed, odometry_of, transform_of,
 };
 use crate::frames::{Frames, Poses, frame_of_map, map_from_camera};
+use crate::levels::LiveLevels;
+use crate::load::Loaded;
 use crate::log::{Log, Severity};
 use crate::node::{Outlet, Quality, RosNode};
 use crate::wheels::{Scale, Wheels};
-use crate::work::{Answer, News, Picture, Tracked, Work, WorkReceiver, response};
+use crate::work::{Answer, Begun, Known, News, Picture, Tracked, Work, WorkReceiver, response};
+use monogrid_app::config::RunConfig;
+use monogrid_app::run::sessions::continuation;
+use monogrid_app::run::tracking::recorder::MapNow;
+use monogrid_datasets::{RecordedSession, SessionInfo};
 use monogrid_geometry::{Camera, Se3, Sim3};
 use monogrid_image::GrayImage;
 use monogrid_inertial::ImuSample;
@@ -20,11 +26,12 @@ use monogrid_messages::geometry_msgs::TransformStamped;
 use monogrid_messages::nav_msgs::Odometry;
 use monogrid_messages::std_msgs::Header;
 use monogrid_messages::tf2_msgs::TFMessage;
-use monogrid_pipeline::{Event, Pipeline, PipelineError, Settings, Unusable};
-use monogrid_slam::{Effort, FrameReport, KeyframeId, PoseSnapshot};
+use monogrid_pipeline::{Event, Pipeline, Settings, Unusable};
+use monogrid_slam::{Effort, FrameReport, KeyframeId, PoseSnapshot, Purpose};
 use std::collections::VecDeque;
-use std::sync::Arc;
+use std::path::Path;
 use std::sync::mpsc::SyncSender;
+use std::sync::{Arc, OnceLock};
 
 /// Publishes where the camera is.
 pub struct PosePublisher {
@@ -175,9 +182,34 @@ struct Beside {
     last_sent_ns: i64,
 }
 
+/// What tracking begins with.
+pub struct Beginning {
+    /// Settings of the pipeline.
+    pub settings: Settings,
+    /// The settings that they were made of.
+    pub config: RunConfig,
+    /// The calibration, or why there is none.
+    pub camera: Result<Camera, String>,
+    /// A map to go on with.
+    pub loaded: Option<Loaded>,
+}
+
+/// What is said while no images are taken.
+const STOPPED: &str = "stopped";
+
 /// Tracks.
 pub struct Tracking {
     settings: Settings,
+    config: RunConfig,
+    /// What is said of where images come from.
+    source: String,
+    /// What becomes of a map that is loaded.
+    purpose: Purpose,
+    /// The map that the world goes on with.
+    loaded: Option<Loaded>,
+    is_stopped: bool,
+    /// Of images of 16 bits.
+    levels: LiveLevels,
     frames: Frames,
     /// Metres of a unit of the world, where somebody has told it.
     told_metres_per_unit: Option<f64>,
@@ -185,7 +217,7 @@ pub struct Tracking {
     camera: Result<Camera, String>,
     pipeline: Option<Pipeline>,
     /// Of the pipeline: what its maps are brought to.
-    maps: Option<MapReader>,
+    maps: Arc<OnceLock<MapReader>>,
     /// Number of the world that comes next.
     next_world: u32,
     last_stamp: Option<Time>,
@@ -200,13 +232,18 @@ impl Tracking {
     /// With nothing tracked yet.
     #[must_use]
     pub fn new(
-        settings: Settings,
+        begin: Beginning,
         args: &Args,
-        camera: Result<Camera, String>,
         publisher: PosePublisher,
         news: SyncSender<News>,
         log: Arc<Log>,
     ) -> Self {
+        let Beginning {
+            settings,
+            config,
+            camera,
+            loaded,
+        } = begin;
         let told = args.metres_per_unit.map(Scale::given);
         let map_from_world = frame_of_map(&settings.map_from_world, told);
         let base_from_camera = args.frames.mount();
@@ -218,13 +255,22 @@ impl Tracking {
         });
         Self {
             settings,
+            config,
+            source: args.image.clone(),
+            purpose: match args.localise_only {
+                true => Purpose::LocaliseOnly,
+                false => Purpose::Extend,
+            },
+            loaded,
+            is_stopped: false,
+            levels: LiveLevels::default(),
             beside,
             base_from_camera,
             frames: Frames::new(base_from_camera, map_from_world),
             told_metres_per_unit: args.metres_per_unit,
             camera,
             pipeline: None,
-            maps: None,
+            maps: Arc::default(),
             next_world: 0,
             last_stamp: None,
             publisher,
@@ -237,6 +283,7 @@ impl Tracking {
     pub fn run(mut self, work: &WorkReceiver) {
         while let Some(work) = work.next() {
             match work {
+                Work::Picture(_) | Work::Reading(_) if self.is_stopped => {}
                 Work::Camera(camera) => self.take_camera(camera),
                 Work::Picture(picture) => self.take(&picture),
                 Work::Reading(reading) => self.take_reading(reading),
@@ -248,11 +295,13 @@ impl Tracking {
                     self.take_odometry(time_ns, odom_from_base);
                 }
                 Work::BeginAgain(why) => self.restart(&why),
+                Work::Start(answer) => self.start(answer),
+                Work::Stop(answer) => self.stop(answer),
                 Work::Reset(answer) => self.reset(answer),
+                Work::Load(path, answer) => self.load(&path, answer),
                 Work::Save(answer) => {
-                    let pipeline = self.pipeline.as_ref();
-                    let path = pipeline.map(|pipeline| pipeline.slam().trajectory());
-                    self.tell(News::Save(answer, path.unwrap_or_default()));
+                    let known = self.pipeline.as_ref().map(|p| Box::new(self.known(p)));
+                    self.tell(News::Save(answer, known));
                 }
             }
         }
@@ -277,25 +326,62 @@ impl Tracking {
         self.camera = camera;
     }
 
-    /// Begins again, unless nothing has begun.
+    /// Begins again, unless nothing has begun; in a map that was loaded, if one was.
     fn restart(&mut self, why: &str) {
-        if self.last_stamp.is_some() {
-            let said = format!("{why}: the next image begins a new map");
-            self.log.say(Severity::Warn, &said);
-            self.begin_again();
+        if self.last_stamp.is_none() {
+            return;
         }
+        let path = self.loaded.as_ref().map(|loaded| loaded.path.clone());
+        let loaded = path.map(|path| Loaded::read(&path)).transpose();
+        let next = match &loaded {
+            Ok(None) => "the next image begins a new map".to_owned(),
+            Ok(Some(loaded)) => format!("the next image is looked for in {loaded}"),
+            Err(error) => format!("the next image begins a new map, since {error}"),
+        };
+        self.log.say(Severity::Warn, &format!("{why}: {next}"));
+        self.begin_again(loaded.unwrap_or_default());
+    }
+
+    fn stop(&mut self, answer: Answer) {
+        self.is_stopped = true;
+        self.tell(News::Waiting(STOPPED.to_owned()));
+        let said = "images are not taken until `start`; the map stays".to_owned();
+        // whoever has gone away needs no answer
+        let _ = answer.send(response(Ok(said)));
+    }
+
+    fn start(&mut self, answer: Answer) {
+        if std::mem::take(&mut self.is_stopped) {
+            self.tell(News::Waiting("started, no image has come since".to_owned()));
+        }
+        // whoever has gone away needs no answer
+        let _ = answer.send(response(Ok("images are taken".to_owned())));
+    }
+
+    /// Goes on with a map that was saved; what there is stays where it cannot be read.
+    fn load(&mut self, path: &Path, answer: Answer) {
+        let loaded = Loaded::read(path).map(|loaded| {
+            loaded.say(&self.log);
+            let said = format!("the next image is looked for in {loaded}");
+            self.begin_again(Some(loaded));
+            said
+        });
+        // whoever has gone away needs no answer
+        let _ = answer.send(response(loaded));
     }
 
     fn reset(&mut self, answer: Answer) {
-        self.begin_again();
+        self.begin_again(None);
         let said = "the next image begins a new map; odometry goes on".to_owned();
         // whoever has gone away needs no answer
         let _ = answer.send(response(Ok(said)));
     }
 
-    fn begin_again(&mut self) {
+    fn begin_again(&mut self, loaded: Option<Loaded>) {
+        self.loaded = loaded;
+        self.levels = LiveLevels::default();
         // its threads end by themselves
-        (self.pipeline, self.maps) = (None, None);
+        (self.pipeline, self.maps) = (None, Arc::default());
         self.last_stamp = None;
         self.frames.begin_again();
         if let Some(beside) = &mut self.beside {
@@ -305,15 +391,64 @@ impl Tracking {
         }
         self.tell(News::Ended);
         self.tell(News::Scale(self.scale()));
+        if self.is_stopped {
+            self.tell(News::Waiting(STOPPED.to_owned()));
+        }
+    }
+
+    /// What is known now.
+    fn known(&self, pipeline: &Pipeline) -> Known {
+        let slam = pipeline.slam();
+        let loaded = self.loaded.as_ref();
+        let mut sessions = loaded.map_or_else(Vec::new, |loaded| loaded.sessions.clone());
+        sessions.push(RecordedSession {
+            source: self.source.clone(),
+            first_keyframe: loaded.map_or(0, |loaded| loaded.num_keyframes as u32),
+        });
+        let frames = loaded.map_or_else(Vec::new, |loaded| loaded.frames.clone());
+        let (width, height) = pipeline.preparation().size();
+        let session = SessionInfo {
+            pinhole: *pipeline.preparation().pinhole(),
+            width,
+            height,
+            scale: match slam.scale() {
+                monogrid_slam::Scale::Metric => monogrid_datasets::Scale::Metric,
+                monogrid_slam::Scale::Arbitrary => monogrid_datasets::Scale::Arbitrary,
+            },
+            seed: self.config.seed,
+            profile: self.config.profile.name().to_owned(),
+            source: self.source.clone(),
+            // without, a later run has to be told the settings
+            config: self.config.to_toml().unwrap_or_default(),
+        };
+        Known {
+            trajectory: slam.trajectory(),
+            map: MapNow {
+                session,
+                keyframes: slam.keyframes(),
+                poses: slam.snapshot(),
+                continuation: continuation(slam, sessions, frames),
+            },
+        }
     }
 
     fn take(&mut self, picture: &Picture) {
-        let (header, image) = match picture {
-            Picture::Plain(image) => (&image.header, gray_image(image)),
-            Picture::Compressed(image) => (&image.header, gray_of_compressed(image)),
+        let (header, image, has_words) = match picture {
+            Picture::Plain(image) => {
+                let has_words = has_words(&image.encoding);
+                (&image.header, gray_image(image), has_words)
+            }
+            Picture::Compressed(image) => {
+                let has_words = has_words_compressed(&image.data);
+                (&image.header, gray_of_compressed(image), has_words)
+            }
         };
         let tracked = image
             .map_err(|error| error.to_string())
+            .and_then(|image| match has_words {
+                true => self.levels.show(image),
+                false => Ok(image),
+            })
             .and_then(|image| self.push(header, image));
         match tracked {
             Ok((report, unsent)) => self.conclude(report, unsent),
@@ -355,7 +490,7 @@ impl Tracking {
         }
         let mut pipeline = match self.pipeline.take() {
             Some(pipeline) => pipeline,
-            None => self.begin()?,
+            None => self.begin(stamp)?,
         };
         self.publisher.say_mount(header);
         let mut unsent = None;
@@ -475,19 +610,30 @@ impl Tracking {
             .beside
             .as_ref()
             .and_then(|beside| beside.wheels.scale());
-        self.told_metres_per_unit.map(Scale::given).or(wheels)
+        let loaded = self
+            .loaded
+            .as_ref()
+            .and_then(|loaded| loaded.metres_per_unit);
+        let told = self.told_metres_per_unit.or(loaded).map(Scale::given);
+        told.or(wheels)
     }
 
     /// Whether lengths are metres: an inertial sensor changes the scale of the mapper's frame.
     fn is_metric(&self) -> bool {
-        let sensed = self.frame_of_mapper().scale != self.settings.map_from_world.scale;
+        let sensed = self.frame_of_mapper().scale != self.frame_of_settings().scale;
         sensed || self.scale().is_some()
     }
 
     fn frame_of_mapper(&self) -> Sim3 {
-        let view = self.maps.as_ref().and_then(MapReader::latest);
-        let base = self.settings.map_from_world;
-        view.map_or(base, |view| view.map_from_world)
+        let view = self.maps.get().and_then(MapReader::latest);
+        view.map_or(self.frame_of_settings(), |view| view.map_from_world)
+    }
+
+    /// The frame of the map before an inertial sensor has a say.
+    fn frame_of_settings(&self) -> Sim3 {
+        let loaded = self.loaded.as_ref();
+        let loaded = loaded.and_then(|loaded| loaded.map_from_world);
+        loaded.unwrap_or(self.settings.map_from_world)
     }
 
     /// The frame of the map as it is now.
@@ -495,26 +641,41 @@ impl Tracking {
         frame_of_map(&self.frame_of_mapper(), self.scale())
     }
 
-    fn begin(&mut self) -> Result<Pipeline, String> {
+    /// Begins a world at the time of its first image.
+    fn begin(&mut self, stamp: Time) -> Result<Pipeline, String> {
         let camera = self.camera.clone();
         let camera = camera.inspect_err(|why| self.tell(News::Waiting(why.clone())))?;
-        self.pipeline_of(&camera).map_err(|error| error.to_string())
-    }
-
-    fn pipeline_of(&mut self, camera: &Camera) -> Result<Pipeline, PipelineError> {
-        let mut pipeline = Pipeline::new(camera, self.settings.clone())?;
-        let (news, world) = (self.news.clone(), self.next_world);
+        let map_from_world = self.frame_of_settings();
+        let mut settings = Settings {
+            map_from_world,
+            ..self.settings.clone()
+        };
+        if let Some(loaded) = &self.loaded {
+            settings.working_size = loaded.working_size;
+        }
+        let preparation = settings.preparation(&camera);
+        let loaded = self.loaded.as_mut();
+        let map = loaded.map(|loaded| loaded.take(&preparation, &self.source));
+        let map = map.transpose()?.map(|map| (map, self.purpose));
+        let pipeline = Pipeline::with(preparation, settings, map);
+        let mut pipeline = pipeline.map_err(|error| error.to_string())?;
+        let (news, number) = (self.news.clone(), self.next_world);
         self.next_world += 1;
-        pipeline.listen(move |event: &Event| {
+        self.tell(News::Begun(Box::new(Begun {
+            number,
+            coming: pipeline.live_map_later(),
+            maps: Arc::clone(&self.maps),
+            map_from_world,
+            pinhole: *pipeline.preparation().pinhole(),
+            finished: vec![stamp; pipeline.slam().num_keyframes()],
+        })));
+        let listening = pipeline.listen(move |event: &Event| {
             if let Event::Finished(keyframe, poses) = event {
                 // the thread of the maps ends after this one only
-                let _ = news.send(News::Keyframe(world, keyframe.clone(), poses.clone()));
+                let _ = news.send(News::Keyframe(number, keyframe.clone(), poses.clone()));
             }
-        })?;
-        let pinhole = *pipeline.preparation().pinhole();
-        let maps = pipeline.live_map()?;
-        self.maps = Some(maps.clone());
-        self.tell(News::Begun(world, maps, pinhole));
+        });
+        listening.map_err(|error| error.to_string())?;
         Ok(pipeline)
     }
 }

@@ -3,16 +3,19 @@
 use crate::wheels::Scale;
 use futures::channel::mpsc::UnboundedSender;
 use futures::channel::oneshot;
-use monogrid_geometry::{Camera, Pinhole, Se3};
+use monogrid_app::run::tracking::recorder::MapNow;
+use monogrid_geometry::{Camera, Pinhole, Se3, Sim3};
 use monogrid_inertial::ImuSample;
 use monogrid_mapping::MapReader;
 use monogrid_messages::builtin_interfaces::Time;
 use monogrid_messages::sensor_msgs::{CompressedImage, Image};
 use monogrid_messages::std_srvs::TriggerResponse;
+use monogrid_occupancy::MapError;
 use monogrid_slam::{FrameReport, KeptKeyframe, PoseSnapshot, TrajectoryPose};
-use std::sync::Arc;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, OnceLock};
 
 /// Images that may wait for tracking: enough to bridge the making of a keyframe, few enough to stay
 /// near the present.
@@ -54,8 +57,14 @@ pub enum Work {
     Scale(Option<f64>),
     /// Everything begins again, and why.
     BeginAgain(String),
+    /// Images are taken, as at the beginning.
+    Start(Answer),
+    /// Images are not taken any more; the map stays.
+    Stop(Answer),
     /// Everything begins again, as somebody asks.
     Reset(Answer),
+    /// The same in a map that was saved.
+    Load(PathBuf, Answer),
     /// The map is written to files.
     Save(Answer),
 }
@@ -148,8 +157,8 @@ impl Drop for AtEnd {
 
 /// What the thread of the maps is told.
 pub enum News {
-    /// A world begins: its number, its maps, and the pinhole of its keyframes.
-    Begun(u32, MapReader, Pinhole),
+    /// A world begins.
+    Begun(Box<Begun>),
     /// What became of an image.
     Tracked(Box<Tracked>),
     /// Why an image was of no use.
@@ -162,8 +171,32 @@ pub enum News {
     Scale(Option<Scale>),
     /// The world is given up.
     Ended,
-    /// The map is written to files, with the trajectory as it is known now.
-    Save(Answer, Vec<TrajectoryPose>),
+    /// The map is written to files, with what is known now, if anything is.
+    Save(Answer, Option<Box<Known>>),
+}
+
+/// A world that begins.
+pub struct Begun {
+    /// Its number.
+    pub number: u32,
+    /// Where its maps will arrive: those of a large map that was loaded take a while.
+    pub coming: Receiver<Result<MapReader, MapError>>,
+    /// Where they are put then.
+    pub maps: Arc<OnceLock<MapReader>>,
+    /// The frame of its maps, before an inertial sensor has a say.
+    pub map_from_world: Sim3,
+    /// The pinhole of its keyframes.
+    pub pinhole: Pinhole,
+    /// Of each keyframe that it has already, the time of the first image since.
+    pub finished: Vec<Time>,
+}
+
+/// What is known of a world.
+pub struct Known {
+    /// Where the camera was.
+    pub trajectory: Vec<TrajectoryPose>,
+    /// What a later run goes on with.
+    pub map: MapNow,
 }
 
 /// An image that was tracked.

@@ -8,7 +8,9 @@
 
 mod robot;
 
-use monogrid_datasets::{Dataset, SourceOptions, TimedPose, read_gray, read_trajectory};
+use monogrid_datasets::{
+    Dataset, ReadOptions, Recording, SourceOptions, TimedPose, read_gray, read_trajectory,
+};
 use monogrid_geometry::{Camera, Se3, Vec3, align_similarity};
 use monogrid_image::{GrayImage, Image};
 use monogrid_inertial::ImuSample;
@@ -24,6 +26,7 @@ use monogrid_ros2::frames::mount;
 use monogrid_ros2::node::connect_to;
 use monogrid_worlds::{CameraPath, ImuConfig, SynthSequence, imu_samples};
 use robot::{Heard, Listening, Node, Robot, first_arrivals, latencies, now};
+use ros2_client::ParameterValue;
 use ros2_client::dds::rustdds::{QosPolicyBuilder, TopicDescription, TopicKind, policy};
 use std::fs;
 use std::path::Path;
@@ -345,6 +348,119 @@ fn ten_seconds_of_a_small_camera() {
     a_scale_makes_everything_longer(&loopback);
     a_reset_begins_a_new_map(&loopback, &film.images[0]);
     assert!(loopback.node.interrupt());
+}
+
+/// A robot that is stopped, saves its map, and finds itself in it later: in the same node, and in
+/// one that must not change it.
+#[test]
+fn a_saved_map_is_loaded_and_the_camera_is_found_in_it() {
+    let film = Film::rendered(&SynthSequence::small_demo().unwrap(), 150);
+    let mut loopback = Loopback::start(&[]);
+    let stamps = loopback.run(&film, 300).stamps;
+    loopback.robot.set_scale(2.5).unwrap();
+    a_stopped_node_keeps_its_map(&loopback, &film.images[0]);
+    let folder = loopback.robot.save().unwrap();
+    nothing_is_loaded_that_is_no_map(&loopback);
+    // what was told of the world before has nothing to do with the map, which says it itself
+    loopback.robot.set_scale(0.0).unwrap();
+    let path = ParameterValue::String(folder.clone());
+    loopback.robot.set("load_path", path).unwrap();
+    let said = loopback.robot.call("load").unwrap();
+    assert!(said.contains("keyframes in"), "{said}");
+    the_camera_is_found(&loopback, &film, Path::new(&folder), &stamps);
+    // it is a run like any other
+    let again = loopback.robot.save().unwrap();
+    let keyframes = |folder: &str| {
+        let file = Path::new(folder).join("recording.mgk");
+        let recording = Recording::read(&file, ReadOptions::default()).unwrap();
+        let sessions = recording.continuation.unwrap().sessions.len();
+        (recording.keyframes.len(), sessions)
+    };
+    let ((before, one), (after, two)) = (keyframes(&folder), keyframes(&again));
+    assert!(before > 0 && after >= before && (one, two) == (1, 2));
+    assert!(loopback.node.interrupt());
+    let frozen = Loopback::start(&["--load-path", &folder, "--localise-only"]);
+    the_camera_is_found(&frozen, &film, Path::new(&folder), &stamps);
+    let made = frozen.heard.heard(|heard| heard.count("keyframes"));
+    assert_eq!(made, before as u64, "the map stays as it is");
+}
+
+fn a_stopped_node_keeps_its_map(loopback: &Loopback, image: &Image<u8>) {
+    let (robot, heard) = (&loopback.robot, &loopback.heard);
+    let counts = |heard: &Heard| ["images received", "images processed"].map(|k| heard.count(k));
+    let says = |text: &'static str| {
+        move |heard: &Heard| {
+            let array = heard.diagnostics.as_ref();
+            array.is_some_and(|array| array.status[0].message.starts_with(text))
+        }
+    };
+    robot.call("stop").unwrap();
+    heard.wait_until("it says so", says("stopped"));
+    let [received, processed] = heard.heard(counts);
+    robot.send_image(image);
+    let came = |heard: &Heard| counts(heard)[0] > received;
+    heard.wait_until("the image comes", came);
+    thread::sleep(Duration::from_secs(1));
+    assert_eq!(heard.heard(counts)[1], processed, "it is not taken");
+    assert!(heard.heard(|heard| says("stopped")(heard) && heard.count("keyframes") > 0));
+    robot.call("start").unwrap();
+    heard.wait_until("it says so", says("started"));
+    robot.send_image(image);
+    heard.wait_until("the next one is taken", |heard| {
+        counts(heard)[1] == processed + 1
+    });
+}
+
+fn nothing_is_loaded_that_is_no_map(loopback: &Loopback) {
+    let refused = loopback.robot.call("load").unwrap_err();
+    assert!(refused.contains("load_path"), "{refused}");
+    let number = loopback.robot.set("load_path", ParameterValue::Integer(1));
+    assert!(number.is_err(), "a number is no folder");
+    let nowhere = ParameterValue::String("/nowhere".into());
+    loopback.robot.set("load_path", nowhere).unwrap();
+    let refused = loopback.robot.call("load").unwrap_err();
+    assert!(refused.contains("/nowhere"), "{refused}");
+    assert!(loopback.heard.heard(|heard| heard.count("keyframes") > 0));
+}
+
+/// The camera is where it was when the map was made, in the map's frame and metres.
+fn the_camera_is_found(loopback: &Loopback, film: &Film, folder: &Path, stamps: &[Time]) {
+    let saved = read_trajectory(&folder.join("trajectory.txt")).unwrap();
+    let heard = &loopback.heard;
+    let (before, grids) = heard.heard(|heard| (heard.tf.len(), heard.grid_times.len()));
+    let last = film.images.len() - 1;
+    let count = 2 * last;
+    let sent = send(&loopback.robot, &loopback.node, film, count);
+    heard.wait_until("the camera is found in a map of metres", |heard| {
+        let is_metric = heard.fact("metres per unit") == Some("2.5");
+        is_metric && heard.tf.len() > before + count / 8
+    });
+    // the mapper gives way to everybody else on a busy computer
+    heard.wait_until("the map arrives", |heard| {
+        heard.grid_times.len() > grids && heard.full.is_some()
+    });
+    let apart = heard.heard(|heard| {
+        let poses = heard.tf[before..].iter().filter_map(|tf| {
+            let stamp = tf.transforms[0].header.stamp;
+            let k = sent.stamps.iter().position(|sent| *sent == stamp)?;
+            // forth, and back
+            let then = stamps[last - last.abs_diff(k)].nanoseconds();
+            let there = saved.iter().find(|pose| pose.timestamp_ns == then)?;
+            let [map_from_odom, odom_from_base] =
+                [0, 1].map(|k| pose_of_transform(&tf.transforms[k].transform).unwrap());
+            let map_from_camera = map_from_odom * odom_from_base * mount([0.0; 3], [0.0; 3]);
+            Some((map_from_camera.translation - there.world_from_camera.translation).norm())
+        });
+        let mut apart: Vec<f64> = poses.collect();
+        apart.sort_unstable_by(f64::total_cmp);
+        apart
+    });
+    let [median, most] = [apart[apart.len() / 2], apart[apart.len() - 1]];
+    println!(
+        "{} poses, apart by {median:.3} m, at most {most:.3} m",
+        apart.len()
+    );
+    assert!(apart.len() > count / 16 && median < 0.05, "{median} m");
 }
 
 /// What the tests with a run look at can be wrong.
@@ -718,7 +834,7 @@ fn a_scale_makes_everything_longer(loopback: &Loopback) {
 }
 
 fn a_reset_begins_a_new_map(loopback: &Loopback, image: &Image<u8>) {
-    loopback.robot.reset().unwrap();
+    loopback.robot.call("reset").unwrap();
     loopback.heard.wait_until("the node begins again", |heard| {
         heard.count("keyframes") == 0
     });

@@ -106,12 +106,14 @@ pub fn gray_image(image: &Image) -> Result<GrayImage, ImageError> {
 }
 
 /// Whether grey values of this encoding have 16 bits, of which nothing says how many are used.
-pub(crate) fn has_words(encoding: &str) -> bool {
+#[must_use]
+pub fn has_words(encoding: &str) -> bool {
     encoding.ends_with("16") || encoding == "16UC1"
 }
 
 /// Whether a file has such values: a PNG of 16 bits.
-pub(crate) fn has_words_compressed(file: &[u8]) -> bool {
+#[must_use]
+pub fn has_words_compressed(file: &[u8]) -> bool {
     file.starts_with(b"\x89PNG") && file.get(24) == Some(&16)
 }
 

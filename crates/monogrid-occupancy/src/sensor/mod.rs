@@ -106,6 +106,24 @@ pub enum AndertForm {
     Stereo,
 }
 
+/// A curve of the user's own: of a sensor that was measured, or another model.
+#[derive(Clone, Copy, Debug)]
+pub struct SensorCurve {
+    /// Probability that a cell is occupied which lies so far behind the measured range (before it:
+    /// negative), given the standard deviation of that. What is no number says nothing.
+    pub probability: fn(behind: f64, sigma: f64) -> f64,
+    /// How far from the measured range the probability changes, positive and finite. Farther
+    /// before it is the same as there; farther behind nothing is known.
+    pub reach: fn(sigma: f64) -> f64,
+}
+
+impl PartialEq for SensorCurve {
+    fn eq(&self, other: &Self) -> bool {
+        std::ptr::fn_addr_eq(self.probability, other.probability)
+            && std::ptr::fn_addr_eq(self.reach, other.reach)
+    }
+}
+
 /// An inverse sensor model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SensorModel {
@@ -114,6 +132,16 @@ pub enum SensorModel {
     /// 0 before the band `z -+ L/2`, 1 inside it, unknown behind.
     Ideal {
         /// Thickness of the band.
+        buffer: Buffer,
+    },
+    /// OctoMap's: `miss` before the band `z -+ L/2`, `hit` inside it, unknown behind, however
+    /// uncertain the range is.
+    HitMiss {
+        /// Probability of what a ray has met, in (1/2, 1).
+        hit: f64,
+        /// Probability of what it went through, in (0, 1/2).
+        miss: f64,
+        /// Thickness of the band; automatic: a cell's diagonal.
         buffer: Buffer,
     },
     /// The ideal model convolved with the Gaussian of the range.
@@ -133,6 +161,8 @@ pub enum SensorModel {
         /// Which standard deviation.
         form: AndertForm,
     },
+    /// A curve of the user's own.
+    Curve(SensorCurve),
 }
 
 impl Default for SensorModel {
@@ -148,6 +178,15 @@ impl SensorModel {
     /// The ideal model with automatic thickness.
     pub const IDEAL: Self = Self::Ideal {
         buffer: Buffer::AUTO,
+    };
+    /// Hit and miss with the values that OctoMap has by default, in a band of a cell's diagonal.
+    pub const OCTOMAP: Self = Self::HitMiss {
+        hit: 0.7,
+        miss: 0.4,
+        buffer: Buffer::Auto {
+            sigmas: f64::MIN_POSITIVE,
+            min: 0.0,
+        },
     };
     /// Thrun's model with automatic thickness; the default.
     pub const THRUN: Self = Self::Thrun {
@@ -177,11 +216,13 @@ impl SensorModel {
         self
     }
 
-    /// The band of the ideal and of Thrun's model.
+    /// The band of the models that have one.
     fn buffer_mut(&mut self) -> Option<&mut Buffer> {
         match self {
-            Self::Ideal { buffer } | Self::Thrun { buffer, .. } => Some(buffer),
-            Self::None | Self::Andert { .. } => None,
+            Self::Ideal { buffer } | Self::HitMiss { buffer, .. } | Self::Thrun { buffer, .. } => {
+                Some(buffer)
+            }
+            Self::None | Self::Andert { .. } | Self::Curve(_) => None,
         }
     }
 
@@ -211,6 +252,18 @@ impl SensorModel {
         match *self {
             Self::None => 0.5,
             Self::Ideal { buffer } => ideal(behind, buffer.length(sigma)),
+            Self::HitMiss { hit, miss, buffer } => {
+                let half = 0.5 * buffer.length(sigma);
+                match behind {
+                    _ if behind < -half => miss,
+                    _ if behind <= half => hit,
+                    _ => 0.5,
+                }
+            }
+            Self::Curve(curve) => match (curve.probability)(behind, sigma) {
+                unknown if unknown.is_nan() => 0.5,
+                p => p.clamp(0.0, 1.0),
+            },
             Self::Thrun { buffer, form } => {
                 let half = 0.5 * buffer.length(sigma) / sigma;
                 let q = match form {
@@ -265,7 +318,11 @@ impl SensorModel {
     pub(crate) fn reach_behind(&self, sigma: f64) -> f64 {
         match *self {
             Self::None => 0.0,
-            Self::Ideal { buffer } => 0.5 * buffer.length(sigma),
+            Self::Ideal { buffer } | Self::HitMiss { buffer, .. } => 0.5 * buffer.length(sigma),
+            Self::Curve(curve) => match (curve.reach)(sigma) {
+                reach if reach > 0.0 && reach.is_finite() => reach,
+                _ => 6.0 * sigma,
+            },
             Self::Thrun { buffer, .. } => 0.5 * buffer.length(sigma) + 6.0 * sigma,
             Self::Andert { .. } => 6.0 * sigma,
         }
@@ -280,12 +337,19 @@ impl SensorModel {
             let is_allowed = value > 0.0 && value.is_finite();
             MapError::unless(is_allowed, field, value, "positive and finite")
         };
+        let band = |buffer| match buffer {
+            Buffer::Fixed(length) => positive("buffer", length),
+            Buffer::Auto { sigmas, .. } => positive("buffer.sigmas", sigmas),
+        };
         match *self {
-            Self::None => Ok(()),
-            Self::Ideal { buffer } | Self::Thrun { buffer, .. } => match buffer {
-                Buffer::Fixed(length) => positive("buffer", length),
-                Buffer::Auto { sigmas, .. } => positive("buffer.sigmas", sigmas),
-            },
+            Self::None | Self::Curve(_) => Ok(()),
+            Self::Ideal { buffer } | Self::Thrun { buffer, .. } => band(buffer),
+            Self::HitMiss { hit, miss, buffer } => {
+                let (is_hit, is_miss) = (hit > 0.5 && hit < 1.0, miss > 0.0 && miss < 0.5);
+                MapError::unless(is_hit, "hit", hit, "between 0.5 and 1")?;
+                MapError::unless(is_miss, "miss", miss, "between 0 and 0.5")?;
+                band(buffer)
+            }
             Self::Andert {
                 significance,
                 p_min,
@@ -331,7 +395,12 @@ mod tests {
     use super::*;
 
     fn models() -> Vec<SensorModel> {
-        let mut models = vec![SensorModel::None, SensorModel::IDEAL, SensorModel::ANDERT];
+        let mut models = vec![
+            SensorModel::None,
+            SensorModel::IDEAL,
+            SensorModel::OCTOMAP,
+            SensorModel::ANDERT,
+        ];
         for form in [ThrunForm::Exact, ThrunForm::Thesis, ThrunForm::InverseDepth] {
             for buffer in [Buffer::Fixed(0.08), Buffer::AUTO] {
                 models.push(SensorModel::Thrun { buffer, form });

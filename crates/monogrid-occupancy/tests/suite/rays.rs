@@ -28,6 +28,7 @@ fn configs() -> Vec<IntegrationConfig> {
         rays.clone(),
         thesis,
         with(SensorModel::IDEAL),
+        with(SensorModel::OCTOMAP),
         with(SensorModel::ANDERT),
         with(SensorModel::Thrun {
             buffer: Buffer::AUTO,
@@ -248,4 +249,59 @@ fn a_small_memory_budget_is_an_error_and_leaves_the_map_as_it_was() {
         assert!(is_memory, "{error}");
         assert!(map == before);
     }
+}
+
+/// A curve of the user's is integrated as a model that is built in, by every rule.
+#[test]
+fn an_own_curve_is_a_model_like_any_other() {
+    let own = SensorModel::Curve(SensorCurve {
+        probability: |behind, _| match behind {
+            ..-0.1 => 0.4,
+            -0.1..=0.1 => 0.7,
+            _ => f64::NAN,
+        },
+        reach: |_| 0.1,
+    });
+    let built_in = SensorModel::HitMiss {
+        hit: 0.7,
+        miss: 0.4,
+        buffer: Buffer::Fixed(0.2),
+    };
+    for rule in [IntegrationRule::Rays, IntegrationRule::Fused] {
+        let maps = [own, built_in].map(|model| {
+            let mut map = OccupancyMap::new(MapConfig::with_resolution(0.05)).unwrap();
+            let config = IntegrationConfig {
+                model,
+                rule,
+                ..IntegrationConfig::default()
+            };
+            let scan = room_scan(&mut Random(3), 0, 2000, 1.6);
+            integrate(&mut map, &scan.borrow(), &config, 1).unwrap();
+            assert!(map.cell_counts().occupied > 100);
+            let mut bytes = Vec::new();
+            write_mgo(&map, &mut bytes).unwrap();
+            bytes
+        });
+        assert!(maps[0] == maps[1]);
+    }
+}
+
+#[test]
+fn a_hit_and_a_miss_are_those_of_octomap() {
+    let mut map = OccupancyMap::new(MapConfig::with_resolution(0.1)).unwrap();
+    let config = IntegrationConfig {
+        model: SensorModel::OCTOMAP,
+        rule: IntegrationRule::Rays,
+        update_min: -2.0,
+        ..IntegrationConfig::default()
+    };
+    let scan = Scan::of_points(0, Similarity::IDENTITY, &[[0.05, 0.05, 2.05]], &[0.5]);
+    integrate(&mut map, &scan, &config, 1).unwrap();
+    let probability = |z: f64| {
+        let log_odds = map.log_odds([0.05, 0.05, z]);
+        log_odds.map(|log_odds| probability_from_log_odds(f64::from(log_odds)))
+    };
+    let near = |p: Option<f64>, expected: f64| (p.unwrap() - expected).abs() < 0.002;
+    assert!(near(probability(1.0), 0.4) && near(probability(2.05), 0.7));
+    assert_eq!(probability(2.45), None, "behind it nothing is known");
 }

@@ -10,7 +10,7 @@ pub use maps::{
 };
 pub use monogrid_bags::convert::{
     OdometryDeviations, UNKNOWN_DEVIATION, camera_of, gray_image, gray_of_compressed, grid_of,
-    imu_sample_of, odometry_of, pose_of_transform, transform_of,
+    has_words, has_words_compressed, imu_sample_of, odometry_of, pose_of_transform, transform_of,
 };
 
 /// Largest message that is sent, bytes: what is larger can be lost on its way without an error on

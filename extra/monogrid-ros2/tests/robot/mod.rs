@@ -375,8 +375,7 @@ pub struct Robot {
     infos: Outlet<CameraInfo>,
     tf: Outlet<TFMessage>,
     clock: Outlet<Clock>,
-    save: Client<Wire<TriggerRequest>, Wire<TriggerResponse>>,
-    reset: Client<Wire<TriggerRequest>, Wire<TriggerResponse>>,
+    services: BTreeMap<&'static str, Client<Wire<TriggerRequest>, Wire<TriggerResponse>>>,
     parameters: Client<SetParametersRequest, SetParametersResponse>,
     _node: RosNode,
 }
@@ -394,8 +393,10 @@ impl Robot {
             .unwrap();
         let tf = node.publisher("/tf", Quality::Stream).unwrap();
         let clock = node.publisher("/clock", Quality::Stream).unwrap();
-        let save = client(&mut node, "/monogrid/save", ("std_srvs", "Trigger"));
-        let reset = client(&mut node, "/monogrid/reset", ("std_srvs", "Trigger"));
+        let services = ["start", "stop", "save", "reset", "load"].map(|name| {
+            let full = format!("/monogrid/{name}");
+            (name, client(&mut node, &full, ("std_srvs", "Trigger")))
+        });
         let set = ("rcl_interfaces", "SetParameters");
         let parameters = client(&mut node, "/monogrid/set_parameters", set);
         Self {
@@ -405,8 +406,7 @@ impl Robot {
             infos,
             tf,
             clock,
-            save,
-            reset,
+            services: services.into(),
             parameters,
             _node: node,
         }
@@ -491,19 +491,29 @@ impl Robot {
 
     /// Asks for the map in files; the folder.
     pub fn save(&self) -> Result<String, String> {
-        trigger(&self.save)
+        self.call("save")
     }
 
-    /// Asks for a new world.
-    pub fn reset(&self) -> Result<String, String> {
-        trigger(&self.reset)
+    /// Calls a service.
+    pub fn call(&self, service: &str) -> Result<String, String> {
+        let Wire(response) = ask(&self.services[service], Wire(TriggerRequest::default()));
+        if response.success {
+            Ok(response.message)
+        } else {
+            Err(response.message)
+        }
     }
 
-    /// Sets the parameter of the scale, as `ros2 param set` does.
+    /// Sets the parameter of the scale.
     pub fn set_scale(&self, metres_per_unit: f64) -> Result<(), String> {
+        self.set("metres_per_unit", ParameterValue::Double(metres_per_unit))
+    }
+
+    /// Sets a parameter, as `ros2 param set` does.
+    pub fn set(&self, name: &str, value: ParameterValue) -> Result<(), String> {
         let parameter = Parameter {
-            name: "metres_per_unit".into(),
-            value: ParameterValue::Double(metres_per_unit),
+            name: name.into(),
+            value,
         };
         let request = SetParametersRequest {
             parameter: vec![parameter.into()],
@@ -537,15 +547,6 @@ where
             qos,
         )
         .unwrap()
-}
-
-fn trigger(client: &Client<Wire<TriggerRequest>, Wire<TriggerResponse>>) -> Result<String, String> {
-    let Wire(response) = ask(client, Wire(TriggerRequest::default()));
-    if response.success {
-        Ok(response.message)
-    } else {
-        Err(response.message)
-    }
 }
 
 fn ask<Request, Response>(client: &Client<Request, Response>, request: Request) -> Response

@@ -8,7 +8,6 @@ mod stored;
 pub use source::{Source, files_of};
 pub use stored::tracked_frame;
 
-use crate::input::Input;
 use crate::process::failure::{Classify, Failure};
 use crate::run::align::{Align, KnownGround, UpSummary};
 use monogrid_datasets::{
@@ -16,6 +15,7 @@ use monogrid_datasets::{
     read_sim3, read_text,
 };
 use monogrid_geometry::Pinhole;
+use monogrid_pipeline::Preparation;
 use monogrid_report::colours::Colours;
 use monogrid_slam::{MAIN_MAP, Purpose, Slam, StoredKeyframe, StoredLink, StoredMap};
 use std::path::{Path, PathBuf};
@@ -100,13 +100,13 @@ impl Earlier {
         })
     }
 
-    /// Refuses a source whose camera is not that of the map.
-    pub fn check_camera(&self, input: &Input) -> Result<(), Failure> {
-        let (found, expected) = (input.pinhole(), &self.session.pinhole);
+    /// Refuses the images of a source whose camera is not that of the map.
+    pub fn check_camera(&self, images: &Preparation, source: &str) -> Result<(), Failure> {
+        let (found, expected) = (images.pinhole(), &self.session.pinhole);
         let size @ (of_width, of_height) = (self.session.width, self.session.height);
         let focal = |a: f64, b: f64| (a / b - 1.0).abs() < 0.01;
         let centre = |a: f64, b: f64| (a - b).abs() < 2.0;
-        let is_same = input.size() == size
+        let is_same = images.size() == size
             && focal(found.fx, expected.fx)
             && focal(found.fy, expected.fy)
             && centre(found.cx, expected.cx)
@@ -116,13 +116,12 @@ impl Earlier {
             let said = |error| Failure::input(format!("{}: {error}", self.path.display()));
             return checked.map_err(said);
         }
-        let (width, height) = input.size();
+        let (width, height) = images.size();
         Err(Failure::input(format!(
-            "the map of {} was made with images of {of_width}x{of_height} pixels, {}; {} gives \
-             {width}x{height}, {}: expected the same camera and working size",
+            "the map of {} was made with images of {of_width}x{of_height} pixels, {}; {source} \
+             gives {width}x{height}, {}: expected the same camera and working size",
             self.path.display(),
             describe(expected),
-            input.name,
             describe(found)
         )))
     }
@@ -169,11 +168,14 @@ pub fn sessions(slam: &Slam, earlier: Option<&Earlier>, source: &str) -> Vec<Rec
     sessions
 }
 
-/// What a later run needs of a finished one.
-pub fn continuation(slam: &Slam, earlier: Option<&Earlier>, source: &str) -> Continuation {
-    let sessions = sessions(slam, earlier, source);
+/// What a later run needs of the map as it is now: the sessions that made it, the last of which is
+/// this one, and the frames of those before.
+pub fn continuation(
+    slam: &Slam,
+    sessions: Vec<RecordedSession>,
+    mut frames: Vec<RecordedFrame>,
+) -> Continuation {
     let session = sessions.len() as u32 - 1;
-    let mut frames = earlier.map_or_else(Vec::new, |earlier| earlier.frames.clone());
     frames.extend(slam.tracked_frames().iter().map(|frame| RecordedFrame {
         session,
         frame_index: frame.frame_index as u64,

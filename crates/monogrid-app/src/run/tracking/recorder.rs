@@ -7,15 +7,16 @@ use crate::keyframe_colours::ColourSource;
 use crate::output::{Content, OutputFolder};
 use crate::process::failure::{Classify, Failure};
 use crate::process::memory;
-use crate::run::sessions::{Earlier, RECORDING, continuation};
+use crate::run::sessions::{Earlier, RECORDING, continuation, sessions};
 use crate::run::tracking::submaps::{SubmapPolicy, Submaps};
 use monogrid_datasets::{
-    ColourRecord, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, Record, RecordedCamera,
-    RecordingWriter, SessionInfo, encode_png, encode_png_rgb,
+    ColourRecord, Continuation, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, Record,
+    RecordedCamera, RecordingWriter, SessionInfo, encode_png, encode_png_rgb,
 };
 use monogrid_pipeline::{Event, Listener, ListenerError, Run};
 use monogrid_report::picture::keyframe::{Measured, depth_picture, uncertainty_picture};
 use monogrid_slam::{KeptKeyframe, Keyframe, fault};
+use std::path::Path;
 use std::sync::Arc;
 
 /// Folder with pictures of the keyframes.
@@ -106,7 +107,10 @@ impl Recorder {
             num_tracked: run.slam.trajectory().len() as u64,
             summary: String::new(),
         };
-        let continuation = continuation(run.slam, self.earlier.as_ref(), &self.source);
+        let earlier = self.earlier.as_ref();
+        let sessions = sessions(run.slam, earlier, &self.source);
+        let frames = earlier.map_or_else(Vec::new, |earlier| earlier.frames.clone());
+        let continuation = continuation(run.slam, sessions, frames);
         let continuation = Record::Continuation(continuation);
         writer.append(&continuation).while_running(DOING)?;
         writer.finish(end.clone()).while_running(DOING)?;
@@ -131,6 +135,42 @@ impl Listener for Recorder {
 
     fn end(&mut self, run: Run) -> Result<(), ListenerError> {
         self.save_end(run).map_err(Failure::into_error)
+    }
+}
+
+/// A map in the middle of a run.
+#[derive(Clone, Debug)]
+pub struct MapNow {
+    /// Its camera and scale, and the settings of the run.
+    pub session: SessionInfo,
+    /// Its keyframes, by identity.
+    pub keyframes: Vec<KeptKeyframe>,
+    /// Where they are.
+    pub poses: Arc<monogrid_slam::PoseSnapshot>,
+    /// What a later run needs to go on.
+    pub continuation: Continuation,
+}
+
+impl MapNow {
+    /// Writes the recording that a run would leave that ends now.
+    pub fn write(self, file: &Path) -> Result<(), Failure> {
+        let mut writer = RecordingWriter::create(file, &self.session).while_running(DOING)?;
+        for kept in &self.keyframes {
+            let record = keyframe_record(&loaded(kept, DOING)?, None);
+            writer.append_keyframe(record).while_running(DOING)?;
+        }
+        let poses = poses(&self.poses);
+        writer.append_poses(poses).while_running(DOING)?;
+        let num_frames = self.continuation.frames.len() as u64;
+        let continuation = Record::Continuation(self.continuation);
+        writer.append(&continuation).while_running(DOING)?;
+        let end = EndRecord {
+            num_frames,
+            num_tracked: num_frames,
+            summary: String::new(),
+        };
+        writer.finish(end).while_running(DOING)?;
+        Ok(())
     }
 }
 
@@ -213,7 +253,6 @@ mod tests {
     use monogrid_geometry::{Pinhole, Sim3, Vec7};
     use monogrid_image::Image;
     use monogrid_slam::DepthPixel;
-    use std::path::Path;
 
     fn keyframe(id: u32, revision: u32) -> KeptKeyframe {
         let pixel = |x| DepthPixel {

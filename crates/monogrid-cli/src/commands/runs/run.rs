@@ -310,7 +310,7 @@ fn open(args: &RunArgs, earlier: Option<&Earlier>, config: &RunConfig) -> Result
     let size = (earlier.session.width, earlier.session.height);
     source.size = source.size.or(Some(size));
     let mut input = open_source(args, source, config.working_size())?;
-    earlier.check_camera(&input)?;
+    earlier.check_camera(&input.preparation, &input.name)?;
     input.warnings.extend(earlier.warnings.iter().cloned());
     Ok(input)
 }
