@@ -380,10 +380,10 @@ mod tests {
         };
         let dxf = plan.dxf();
         let lines = |layer: &str| dxf.matches(&format!("LINE\n8\n{layer}\n")).count();
-        // around one cell; around two below, and on the three sides that are left of one above
+        // around one cell; left of, below and above two, and on three sides of the one above them
         assert_eq!(
             (lines("obstacle"), lines("known"), lines("path")),
-            (4, 5, 1)
+            (4, 6, 1)
         );
         // the two cells below are one line
         assert!(dxf.contains("known\n10\n1.0000\n20\n-1.0000\n30\n0\n11\n2.0000\n21\n-1.0000"));
