@@ -382,7 +382,7 @@ mod tests {
         let (json, binary) = triangle();
         let whole = file(&json, &binary);
         for end in 0..whole.len() - 1 {
-            assert!(parse(&whole[..end]).is_err(), "{end}");
+            assert!(parse(&whole[..end], scene_of).is_err(), "{end}");
         }
         let wrong = |pointer: &str, value: Value| {
             let mut json = json.clone();
@@ -398,7 +398,7 @@ mod tests {
         often["nodes"] = vec![node; 2000].into();
         often["scenes"][0]["nodes"] = (0..2000).collect::<Vec<_>>().into();
         // a node takes 16 bytes here and has 3 vertices: all of them fit
-        assert!(parse(&file(&often, &binary)).is_ok());
+        assert!(parse(&file(&often, &binary), scene_of).is_ok());
         // what is read of a part, beside its three places, may be more than they are
         let part = often["meshes"][0]["primitives"][0].clone();
         let [mut of_corners, mut of_colours] = [part.clone(), part.clone()];
@@ -420,7 +420,7 @@ mod tests {
         for (part, count) in [(part.clone(), 20), (of_corners, 1), (of_colours, 1)] {
             let mut often = often.clone();
             often["meshes"][0]["primitives"] = vec![part; count].into();
-            let error = parse(&file(&often, &much)).unwrap_err();
+            let error = parse(&file(&often, &much), scene_of).unwrap_err();
             assert!(error.contains("too often"), "{error}");
         }
         assert!(wrong("/bufferViews/1/byteOffset", json!(u64::MAX)).contains("accessor 1"));
