@@ -1,13 +1,15 @@
 #!/usr/bin/env python3
 """What independent readers say of the exports of a run.
 
-    scripts/exports.py RUN [PROGRAM]
+    scripts/exports.py RUN [PROGRAM [TRUTH.ply]]
 
 Exports the run in every format into a temporary folder and opens each with a reader that is not
 ours: COLMAP's model with pycolmap, OBJ and STL with trimesh, LAS with laspy, DXF with ezdxf, USDZ
 with usd-core, the map in colour with pyoctomap; the cameras of transforms.json are compared with
 those of pycolmap, and read by nerfstudio where that is installed (`pip install nerfstudio`, which
-brings PyTorch). Needs `pip install pycolmap trimesh laspy ezdxf usd-core pyoctomap`.
+brings PyTorch). mesh.glb goes through Khronos' validator where NODE_PATH leads to it (`npm install
+gltf-validator`), and plan.dxf through ezdxf. With the true mesh: how far the surface is from it, and
+how much of it is there. Needs `pip install pycolmap trimesh pillow scipy laspy ezdxf usd-core pyoctomap`.
 """
 
 import json
@@ -22,7 +24,8 @@ import numpy
 import pycolmap
 import pyoctomap
 import trimesh
-from pxr import Usd, UsdGeom
+from pxr import Usd, UsdGeom, UsdShade
+from scipy.spatial import cKDTree
 
 
 FORMATS = ("colmap", "nerf", "obj", "stl", "las", "dxf", "usdz", "ot")
@@ -56,6 +59,9 @@ def main():
             assert len(mesh.faces) == len(original.faces)
             # numbers of text and of binary files differ in their last digits
             assert numpy.allclose(mesh.bounds, original.bounds, atol=1e-4)
+            picture = getattr(mesh.visual, "material", None) if to == "obj" else None
+            if picture is not None:
+                print(f"trimesh, obj: a picture of {picture.image.size} pixels")
             print(f"trimesh, {to}: {len(mesh.faces)} triangles, area {mesh.area:.3f} ({original.area:.3f} before)")
         cloud, points = trimesh.load(run / "cloud.ply"), laspy.read(out["las"])
         assert numpy.allclose(points.xyz, cloud.vertices, atol=1e-3)
@@ -64,6 +70,61 @@ def main():
         check_dxf(out["dxf"], original)
         check_usdz(out["usdz"], original)
         check_colours(out["ot"], run / "cells.ply")
+    check_plan(run / "plan.dxf")
+    check_glb(run / "mesh.glb")
+    if len(sys.argv) > 3:
+        compare_surface(original, trimesh.load(sys.argv[3], process=False))
+
+
+def check_plan(file):
+    document = ezdxf.readfile(file)
+    assert not document.audit().has_errors
+    layers = [line.dxf.layer for line in document.modelspace().query("LINE")]
+    counts = {layer: layers.count(layer) for layer in sorted(set(layers))}
+    print(f"ezdxf, plan: lines by layer {counts}")
+    assert counts["obstacle"] > 0 and counts["path"] > 0
+
+
+def check_glb(file):
+    script = (
+        "require('gltf-validator').validateBytes(new Uint8Array(require('fs')"
+        f".readFileSync({json.dumps(str(file))}))).then((said) => console.log(JSON.stringify(said)))"
+    )
+    node = subprocess.run(["node", "-e", script], capture_output=True, text=True)
+    if node.returncode != 0:
+        print("gltf-validator: not installed, or NODE_PATH does not lead to it")
+        return
+    said = json.loads(node.stdout)
+    issues, info = said["issues"], said["info"]
+    size = file.stat().st_size / 1e6
+    print(
+        f"gltf-validator: {size:.1f} MB, {info['totalTriangleCount']} triangles, "
+        f"{issues['numErrors']} errors, {issues['numWarnings']} warnings"
+    )
+    assert issues["numErrors"] == 0
+
+
+def compare_surface(mesh, truth):
+    places = trimesh.sample.sample_surface(mesh, 200_000, seed=0)[0]
+    away = distances(places, truth)
+    true_places = trimesh.sample.sample_surface(truth, 200_000, seed=0)[0]
+    missing = distances(true_places, mesh)
+    print(
+        f"surface: {1e3 * away.mean():.1f} mm from the true one on average, "
+        f"{1e3 * numpy.median(away):.1f} in the median, {1e3 * numpy.quantile(away, 0.9):.1f} for 90 %; "
+        f"of the true one {(missing < 0.02).mean():.1%} within 2 cm, {(missing < 0.05).mean():.1%} within 5"
+    )
+
+
+def distances(places, mesh, near=6):
+    """Of places from a mesh: from the nearest of the triangles of the samples nearest to each."""
+    samples, triangles = trimesh.sample.sample_surface(mesh, 400_000, seed=1)
+    found = cKDTree(samples).query(places, k=near)[1]
+    away = [
+        trimesh.triangles.closest_point(mesh.triangles[triangles[found[:, k]]], places) - places
+        for k in range(near)
+    ]
+    return numpy.linalg.norm(away, axis=2).min(axis=0)
 
 
 def read_by_nerfstudio(folder, count):
@@ -96,7 +157,13 @@ def check_usdz(file, mesh):
     assert (indices == mesh.faces).all()
     colours = UsdGeom.PrimvarsAPI(surface).GetPrimvar("displayColor").Get()
     assert len(colours) == len(mesh.vertices)
-    print(f"usd-core: {len(indices)} triangles in colour")
+    look = UsdShade.MaterialBindingAPI(surface).ComputeBoundMaterial()[0]
+    if look:
+        picture = UsdShade.Shader(stage.GetPrimAtPath("/map/look/picture"))
+        assert picture.GetInput("file").Get().resolvedPath, "the picture is not found"
+        places = UsdGeom.PrimvarsAPI(surface).GetPrimvar("st").Get()
+        assert len(places) == 3 * len(indices)
+    print(f"usd-core: {len(indices)} triangles in colour, {'with' if look else 'without'} a picture")
 
 
 def check_colours(file, cells):

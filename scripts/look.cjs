@@ -54,7 +54,8 @@ async function open(context, url) {
   page.on('request', (request) => !request.url().startsWith('data:') && request.url() !== url && asked.push(request.url()));
   const begun = Date.now();
   await page.goto(url, { waitUntil: 'load', timeout: 120000 });
-  await page.waitForFunction(() => window.explorer, null, { timeout: 120000 }).catch(() => errors.push('no explorer'));
+  // a run that came to nothing has no explorer
+  await page.waitForFunction(() => window.explorer || !document.getElementById('explorer'), null, { timeout: 120000 }).catch(() => errors.push('no explorer'));
   // drawn twice: everything is on the screen
   await page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))));
   return { page, errors, asked, seconds: (Date.now() - begun) / 1000 };
@@ -124,7 +125,8 @@ async function look(out, file) {
   });
   const hasSurface = await page.evaluate(() => Boolean(window.explorer?.data?.surface));
   if (hasSurface && first.shown !== 'surface') errors.push(`the first view is ${first.shown}`);
-  if (!file.startsWith('http') && (!first.colours || !first.bar)) errors.push('no legend, or no bar');
+  const hasExplorer = await page.evaluate(() => Boolean(window.explorer));
+  if (hasExplorer && !file.startsWith('http') && (!first.colours || !first.bar)) errors.push('no legend, or no bar');
   const has = await page.evaluate(() => Object.keys(window.explorer?.view?.layers ?? {}));
   const rates = {};
   for (const layers of [['surface', 'path'], ['cloud', 'path'], ['cells', 'path'], ['cells', 'cloud', 'path']]) {
@@ -134,14 +136,14 @@ async function look(out, file) {
     rates[`${name}, everything`] = await turning(page, wide.folder, layers, true);
   }
   await page.evaluate(() => {
-    const { view } = window.explorer;
+    const view = window.explorer?.view;
     if (!view?.layers.cloud) return;
     for (const [name, layer] of Object.entries(view.layers)) layer.object.visible = ['cloud', 'path', 'keyframes', 'links'].includes(name);
     view.draw();
   });
   await page.waitForTimeout(700);
   await shot('cloud');
-  await page.evaluate(() => document.getElementById('timeline-part').scrollIntoView());
+  await page.evaluate(() => document.getElementById('timeline-part')?.scrollIntoView());
   await shot('below');
   await page.evaluate(() => window.scrollTo(0, 0));
   await shot('all', { fullPage: true });
@@ -151,7 +153,7 @@ async function look(out, file) {
   await phone.page.screenshot({ path: path.join(out, `${name}-phone.png`), fullPage: true });
   await narrow.close();
   const all = [...errors, ...phone.errors];
-  const script_seconds = (await page.evaluate(() => window.explorer.milliseconds)) / 1000;
+  const script_seconds = (await page.evaluate(() => window.explorer?.milliseconds ?? 0)) / 1000;
   console.log(JSON.stringify({ page: name, megabytes: file.startsWith('http') ? null : fs.statSync(file).size / 1e6, seconds, script_seconds, first, rates, phone_width: width, errors: all, asked: [...asked, ...phone.asked] }, null, 1));
   await wide.close();
   return all.length === 0 && width <= 380 && (file.startsWith('http') || asked.length + phone.asked.length === 0);

@@ -175,7 +175,7 @@ pub enum Command {
     /// Surface of a map as a triangle mesh: .ply, .glb, .obj, .stl, .dxf or .usdz
     #[command(after_help = "Example: monogrid mesh kitchen.ot kitchen.glb")]
     Mesh(tools::MeshArgs),
-    /// Map seen from above: .pgm and .yaml for nav2's map server, .png or .svg for people
+    /// Map seen from above: .pgm and .yaml for nav2's map server, .png, .svg or .dxf for people
     #[command(
         after_help = "Example: monogrid project kitchen.ot kitchen.pgm --min-height 0.1 \
             --max-height 1.5"

@@ -33,7 +33,7 @@ pub use bvh::{Bounds, P3};
 pub use effects::{EffectsConfig, NoiseConfig};
 pub use imu::{ImuConfig, imu_samples};
 pub use lighting::LightingConfig;
-pub use mesh::{MeshLighting, MeshModel, read_ply};
+pub use mesh::{MeshLighting, MeshModel, read_picture, read_ply};
 pub use path::{CameraPath, Carrier, PathError, Waypoint, look_at};
 pub use render::{Mover, Rendered, Renderer};
 pub use scene::Tint;

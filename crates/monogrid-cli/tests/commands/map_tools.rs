@@ -527,11 +527,49 @@ fn robots_get_distances_and_paths() {
     assert_eq!(path["points"].as_array().unwrap().len(), 2);
     let text = monogrid(plan("0.25,0.75,0.5", "0.1"));
     assert!(String::from_utf8_lossy(&text.stdout).ends_with("\n0.2500 0.7500 0.5500\n"));
-    assert_fails(
-        &monogrid(plan("0.45,0.5,0.5", "0.1")),
-        2,
-        &["does not fit at the goal"],
+    // beside the wall: as near to it as the robot may come
+    let near = monogrid(plan("0.45,0.55,0.55", "0.1"));
+    let text = String::from_utf8_lossy(&near.stdout).into_owned();
+    assert!(text.ends_with("\n0.3500 0.5500 0.5500\n"), "{text}");
+    let said = stderr(&near);
+    assert!(
+        said.contains("does not fit at the goal: the path has it 0."),
+        "{said}"
     );
+    assert_fails(&monogrid(plan("0.4,0.5,0.5", "9")), 2, &["fits nowhere"]);
+    // on the floor, into files
+    let [csv, path, picture] = ["p.csv", "p.json", "p.png"].map(|name| folder.path(name));
+    ok(&[
+        "plan",
+        &map,
+        "0.25,0.25",
+        "0.25,0.75",
+        "--robot-radius",
+        "0.1",
+        "--heights",
+        "0,0.6",
+        "--out",
+        &csv,
+        "--out",
+        &path,
+        "--out",
+        &picture,
+    ]);
+    let csv = fs::read_to_string(csv).unwrap();
+    assert_eq!(csv, "x,y,z\n0.2500,0.2500,0.0000\n0.2500,0.7500,0.0000\n");
+    let message: serde_json::Value = serde_json::from_slice(&fs::read(path).unwrap()).unwrap();
+    assert_eq!(message["poses"][1]["pose"]["position"]["y"], 0.75);
+    assert!(fs::read(picture).unwrap().starts_with(b"\x89PNG"));
+    let lost = [
+        "plan",
+        &map,
+        "0,0",
+        "0,0",
+        "--robot-radius",
+        "0.1",
+        "--on-floor",
+    ];
+    assert_fails(&monogrid(lost), 2, &["--heights LOW,HIGH"]);
     assert_fails(&monogrid(plan("3,0.5,0.5", "0.1")), 2, &["outside the map"]);
 }
 

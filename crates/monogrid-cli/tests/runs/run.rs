@@ -69,6 +69,7 @@ fn a_run_writes_everything_and_the_same_bytes_for_any_number_of_threads_and_any_
         "map.pgm",
         "map.yaml",
         "plan.png",
+        "plan.dxf",
         "plan.svg",
         "preview.png",
         "config.toml",

@@ -37,7 +37,7 @@ pub(crate) struct Planner<'a> {
     grid: &'a DistanceGrid,
     /// Connected set of every cell, so that a search without an answer is not begun; 0: not free.
     component: Vec<u32>,
-    steps: [Step; 26],
+    steps: Vec<Step>,
     nodes: Vec<Node>,
     search: u32,
 }
@@ -182,18 +182,17 @@ struct Step {
     length: f32,
 }
 
-fn steps(grid: &DistanceGrid) -> [Step; 26] {
-    std::array::from_fn(|i| {
-        // The 13th of 27 is the cell itself.
-        let code = (i + usize::from(i >= 13)) as isize;
-        let axes = [code % 3 - 1, code / 3 % 3 - 1, code / 9 - 1];
-        let [nx, ny] = [grid.size[0] as isize, grid.size[1] as isize];
-        Step {
-            axes,
-            offset: (axes[0] + nx * (axes[1] + ny * axes[2])) as i32,
-            length: STEP[axes.iter().filter(|a| **a != 0).count()],
-        }
-    })
+fn steps(grid: &DistanceGrid) -> Vec<Step> {
+    let [nx, ny, nz] = grid.size.map(|side| side as isize);
+    let codes = (0..27).map(|code| [code % 3 - 1, code / 3 % 3 - 1, code / 9 - 1]);
+    // in one layer nothing leads up or down
+    let codes = codes.filter(|axes| *axes != [0; 3] && (nz > 1 || axes[2] == 0));
+    let step = |axes: [isize; 3]| Step {
+        axes,
+        offset: (axes[0] + nx * (axes[1] + ny * axes[2])) as i32,
+        length: STEP[axes.iter().filter(|a| **a != 0).count()],
+    };
+    codes.map(step).collect()
 }
 
 /// Numbers the connected sets of cells with enough clearance from 1; 0 elsewhere.

@@ -18,13 +18,23 @@ pub(crate) struct DistanceGrid {
 impl DistanceGrid {
     /// Distances to the cells where `is_blocked`; everything outside the grid is blocked too.
     pub fn new(size: [usize; 3], is_blocked: impl Fn(usize) -> bool) -> Self {
+        Self::along(3, size, is_blocked)
+    }
+
+    /// As [`Self::new`] for one layer of cells, above and below which nothing is.
+    pub fn flat([width, height]: [usize; 2], is_blocked: impl Fn(usize) -> bool) -> Self {
+        Self::along(2, [width, height, 1], is_blocked)
+    }
+
+    /// Distances along so many axes.
+    fn along(axes: usize, size: [usize; 3], is_blocked: impl Fn(usize) -> bool) -> Self {
         let count = size[0] * size[1] * size[2];
         let mut cells: Vec<f32> = (0..count)
             .map(|i| if is_blocked(i) { 0.0 } else { FAR_SQ })
             .collect();
         let strides = [1, size[0], size[0] * size[1]];
         let mut line = Line::default();
-        for axis in 0..3 {
+        for axis in 0..axes {
             let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
             for j in 0..size[v] {
                 for i in 0..size[u] {

@@ -157,6 +157,8 @@ pub struct PathsReport {
     pub unknown_blocked: PathReport,
     /// The robot may enter unknown cells.
     pub unknown_free: PathReport,
+    /// Share of the free space of the truth of which the map knows anything.
+    pub known_share: f64,
     /// Edge of the cells that were planned on.
     pub planning_cell: f64,
     /// Radius of the robot.
@@ -208,7 +210,8 @@ pub fn evaluate_paths(
     let mut truth_planner = Planner::new(&in_truth, clearances.plan);
     let pairs = sample_pairs(&in_truth, &truth_planner, config, cell)?;
     let index = |key| Some(in_truth.index(coarse_truth.local(key)?));
-    let states = coarse_states(estimate, index, in_truth.len(), factor);
+    let least_free = factor.pow(3).div_ceil(2);
+    let states = coarse_states(estimate, index, in_truth.len(), (factor, least_free));
     let to_unobserved = DistanceGrid::new(in_truth.size, |i| states[i] == Occupancy::Unknown);
     let is_inside = |cells: &[usize]| least_distance(&to_unobserved, cells) >= clearances.collide;
     let mut visits = Visits::of_at_most(config.max_visits);
@@ -230,10 +233,19 @@ pub fn evaluate_paths(
     Ok(PathsReport {
         unknown_blocked: report(&|state| state != Occupancy::Free)?,
         unknown_free: report(&|state| state == Occupancy::Occupied)?,
+        known_share: known_share(&in_truth, &states),
         planning_cell: cell,
         robot_radius: config.robot_radius,
         planning_margin: margin,
     })
+}
+
+/// Share of the free cells of the truth of which a map knows something.
+fn known_share(in_truth: &DistanceGrid, states: &[Occupancy]) -> f64 {
+    let free = (0..states.len()).filter(|i| in_truth.at(*i) > 0.0);
+    let free: Vec<usize> = free.collect();
+    let known = free.iter().filter(|i| states[**i] != Occupancy::Unknown);
+    known.count() as f64 / free.len().max(1) as f64
 }
 
 /// Least distances between centres of cells, in cells: half a cell belongs to the obstacle.
@@ -282,12 +294,12 @@ fn validate(config: &PathConfig) -> Result<(), PathError> {
 }
 
 /// States of cubes of `factor` cells along each axis: occupied when any of them is, else free when
-/// at least half are; `index` says where a cube lies among `count`.
+/// at least `least_free` are; `index` says where a cube lies among `count`.
 fn coarse_states(
     map: &OccupancyMap,
     index: impl Fn([i32; 3]) -> Option<usize>,
     count: usize,
-    factor: u32,
+    (factor, least_free): (u32, u32),
 ) -> Vec<Occupancy> {
     let mut free = vec![0_u32; count];
     let mut is_occupied = vec![false; count];
@@ -301,10 +313,9 @@ fn coarse_states(
             }
         }
     }
-    let half = factor.pow(3).div_ceil(2);
     let state = |(free, is_occupied): (u32, bool)| match is_occupied {
         true => Occupancy::Occupied,
-        false if free >= half => Occupancy::Free,
+        false if free >= least_free => Occupancy::Free,
         false => Occupancy::Unknown,
     };
     free.into_iter().zip(is_occupied).map(state).collect()

@@ -10,8 +10,10 @@ use serde::Serialize;
 /// A robot that plans.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanConfig {
-    /// Radius of the robot, a ball, map units, positive.
+    /// Radius of the robot, map units, positive: a ball, or a disc on the floor.
     pub robot_radius: f64,
+    /// On the floor: cells between these heights are in its way. Default: in the air.
+    pub heights: Option<[f64; 2]>,
     /// Whether it may enter unknown cells. Default: it may not.
     pub through_unknown: bool,
     /// Most cells of the grid that is searched; larger maps are planned on larger cells. Default
@@ -25,6 +27,7 @@ impl PlanConfig {
     pub fn with_radius(robot_radius: f64) -> Self {
         Self {
             robot_radius,
+            heights: None,
             through_unknown: false,
             max_cells: 20_000_000,
         }
@@ -43,6 +46,9 @@ pub struct PlannedPath {
     pub clearance: f64,
     /// Edge of the cells that were planned on.
     pub planning_cell: f64,
+    /// How far start and goal are from where they were wanted: the nearest places where the robot
+    /// fits and which are connected.
+    pub moved: [f64; 2],
 }
 
 /// Why there is no path.
@@ -65,27 +71,17 @@ pub enum PlanError {
         /// Upper corner.
         high: [f64; 3],
     },
-    /// The robot does not fit there.
-    #[error(
-        "the robot does not fit at the {end}: the nearest cell that blocks it is {distance:.3} \
-         away, its radius is {radius}"
-    )]
-    NoRoom {
-        /// Start or goal.
-        end: &'static str,
-        /// Distance to the centre of the nearest cell that is occupied, or unknown and not to be
-        /// entered.
-        distance: f64,
-        /// Radius of the robot.
-        radius: f64,
-    },
+    /// The robot does not fit anywhere.
+    #[error("a robot of radius {0} fits nowhere in the free space of the map")]
+    NoRoom(f64),
     /// Both ends have room, but are not connected.
     #[error("no path of a robot of radius {0} leads from the start to the goal")]
     NotConnected(f64),
 }
 
-/// The shortest path between two places over the cells of a map, on which a ball of the robot's
-/// radius touches no occupied cell and, unless it may, no unknown one.
+/// The shortest path between two places over the cells of a map, on which the robot touches no
+/// occupied cell and, unless it may, no unknown one. Where it does not fit at an end, the path
+/// begins or ends at the nearest place where it does.
 ///
 /// # Errors
 /// [`PlanError`]: why there is none.
@@ -99,42 +95,48 @@ pub fn plan_path(
     if !(radius.is_finite() && radius > 0.0) {
         return Err(PlanError::Radius(radius));
     }
-    let area = Area::new(map, config.max_cells.min(MAX_CELLS)).ok_or(PlanError::Empty)?;
+    let area = Area::new(map, config).ok_or(PlanError::Empty)?;
     let cell = area.cell;
-    let index_of = |end, point| {
+    let check = |end, point| {
         let (low, high) = map.bounds().unwrap_or_default();
-        let index = area.index_of(point);
-        index.ok_or(PlanError::Outside { end, low, high })
+        let is_inside = area.index_of(point).is_some();
+        is_inside
+            .then_some(())
+            .ok_or(PlanError::Outside { end, low, high })
     };
-    let (start, goal) = (index_of("start", from)?, index_of("goal", to)?);
-    let states = coarse_states(map, |key| area.index(key), area.count(), area.factor);
-    let grid = DistanceGrid::new(area.size, |i| match states[i] {
-        Occupancy::Occupied => true,
-        Occupancy::Unknown => !config.through_unknown,
-        Occupancy::Free => false,
-    });
+    check("start", from)?;
+    check("goal", to)?;
+    let grid = area.distances(map, config.through_unknown);
     // a cell reaches half of its diagonal from its centre
-    let half_diagonal = 0.5 * 3.0_f64.sqrt();
+    let half_diagonal = 0.5 * area.axes().sqrt();
     let mut planner = Planner::new(&grid, (radius / cell + half_diagonal) as f32);
-    for (end, index) in [("start", start), ("goal", goal)] {
-        if planner.component(index) == 0 {
-            let distance = f64::from(grid.at(index)) * cell;
-            return Err(PlanError::NoRoom {
-                end,
-                distance,
-                radius,
-            });
-        }
-    }
+    let component_at = |point| area.index_of(point).map_or(0, |i| planner.component(i));
+    let nearest = |point: [f64; 3], component: u32| {
+        let fits = |i: &usize| match component {
+            0 => planner.component(*i) != 0,
+            wanted => planner.component(*i) == wanted,
+        };
+        let distance = |i: usize| area.distance(area.centre(grid.cell(i), point), point);
+        let free = (0..grid.len()).filter(fits).map(|i| (distance(i), i));
+        free.min_by(|a, b| a.0.total_cmp(&b.0))
+            .ok_or(PlanError::NoRoom(radius))
+    };
+    let end = |point, other: u32| match component_at(point) {
+        0 => nearest(point, other),
+        _ => Ok((0.0, area.index_of(point).unwrap_or_default())),
+    };
+    let (start_moved, start) = end(from, component_at(to))?;
+    let (goal_moved, goal) = end(to, planner.component(start))?;
     let path = planner.plan(start, goal, &mut Visits::of_at_most(u64::MAX));
     let path = path.ok_or(PlanError::NotConnected(radius))?;
     let least = least_distance(&grid, &path.cells);
     let turns = turns(&path.cells, &grid);
     Ok(PlannedPath {
-        points: turns.map(|i| area.centre(grid.cell(i))).collect(),
+        points: turns.map(|i| area.centre(grid.cell(i), from)).collect(),
         length: path.length * cell,
         clearance: (f64::from(least) - half_diagonal) * cell,
         planning_cell: cell,
+        moved: [start_moved, goal_moved],
     })
 }
 
@@ -149,22 +151,28 @@ fn turns<'a>(cells: &'a [usize], grid: &'a DistanceGrid) -> impl Iterator<Item =
     (0..cells.len()).filter(is_turn).map(|k| cells[k])
 }
 
-/// What of a map is planned on: the box of its known cells, in cubes of `factor` cells.
+/// What of a map is planned on: the box of its known cells, in cubes of `factor` cells; on the
+/// floor one layer of all cells between two heights.
 struct Area {
     first: [i32; 3],
     size: [usize; 3],
     factor: u32,
     cell: f64,
+    heights: Option<[f64; 2]>,
 }
 
 impl Area {
     /// With the smallest cubes that are at most so many.
-    fn new(map: &OccupancyMap, max_cells: usize) -> Option<Self> {
+    fn new(map: &OccupancyMap, config: &PlanConfig) -> Option<Self> {
         let (low, high) = map.key_bounds()?;
+        let max_cells = config.max_cells.min(MAX_CELLS);
         (1..=1 << 16).find_map(|factor| {
             let coarse = |key: i32| key.div_euclid(factor);
-            let first = low.to_array().map(coarse);
-            let last = high.to_array().map(coarse);
+            let mut first = low.to_array().map(coarse);
+            let mut last = high.to_array().map(coarse);
+            if config.heights.is_some() {
+                (first[2], last[2]) = (0, 0);
+            }
             let size = [0, 1, 2].map(|axis| (last[axis] - first[axis] + 1) as usize);
             let mut sides = size.iter();
             let count = sides.try_fold(1usize, |all, side| all.checked_mul(*side));
@@ -174,12 +182,43 @@ impl Area {
                 size,
                 factor: factor as u32,
                 cell: map.resolution() * f64::from(factor),
+                heights: config.heights,
             })
         })
     }
 
-    fn count(&self) -> usize {
-        self.size.iter().product()
+    /// Axes along which the robot moves.
+    fn axes(&self) -> f64 {
+        if self.heights.is_some() { 2.0 } else { 3.0 }
+    }
+
+    /// Distances to what blocks the robot.
+    fn distances(&self, map: &OccupancyMap, through_unknown: bool) -> DistanceGrid {
+        let least_free = match self.heights {
+            Some(_) => 1,
+            None => self.factor.pow(3).div_ceil(2),
+        };
+        let count = self.size.iter().product();
+        let index = |key| self.index(self.on_floor(key)?);
+        let states = coarse_states(map, index, count, (self.factor, least_free));
+        let is_blocked = |i: usize| match states[i] {
+            Occupancy::Occupied => true,
+            Occupancy::Unknown => !through_unknown,
+            Occupancy::Free => false,
+        };
+        match self.heights {
+            Some(_) => DistanceGrid::flat([self.size[0], self.size[1]], is_blocked),
+            None => DistanceGrid::new(self.size, is_blocked),
+        }
+    }
+
+    /// A cube in the only layer of the floor; `None` above and below what is in the way.
+    fn on_floor(&self, [x, y, z]: [i32; 3]) -> Option<[i32; 3]> {
+        let Some([low, high]) = self.heights else {
+            return Some([x, y, z]);
+        };
+        let height = (f64::from(z) + 0.5) * self.cell;
+        (low..=high).contains(&height).then_some([x, y, 0])
     }
 
     fn index(&self, key: [i32; 3]) -> Option<usize> {
@@ -187,14 +226,27 @@ impl Area {
         Some(index_in(self.size, cell))
     }
 
-    fn index_of(&self, point: [f64; 3]) -> Option<usize> {
+    fn index_of(&self, mut point: [f64; 3]) -> Option<usize> {
+        if self.heights.is_some() {
+            point[2] = 0.0;
+        }
         let key = point.map(|value| (value / self.cell).floor());
         let fits = key.iter().all(|value| value.abs() < f64::from(i32::MAX));
         fits.then(|| self.index(key.map(|value| value as i32)))?
     }
 
-    fn centre(&self, at: [usize; 3]) -> [f64; 3] {
-        [0, 1, 2].map(|axis| (f64::from(self.first[axis]) + at[axis] as f64 + 0.5) * self.cell)
+    /// The centre of a cube; on the floor as high as `start`.
+    fn centre(&self, at: [usize; 3], start: [f64; 3]) -> [f64; 3] {
+        let centre =
+            |axis: usize| (f64::from(self.first[axis]) + at[axis] as f64 + 0.5) * self.cell;
+        let z = self.heights.map_or_else(|| centre(2), |_| start[2]);
+        [centre(0), centre(1), z]
+    }
+
+    fn distance(&self, from: [f64; 3], to: [f64; 3]) -> f64 {
+        let axes = self.axes() as usize;
+        let parts = (0..axes).map(|axis| (to[axis] - from[axis]).powi(2));
+        parts.sum::<f64>().sqrt()
     }
 }
 
@@ -259,17 +311,44 @@ mod tests {
             }
         }
         assert!(matches!(plan(0.35), Err(PlanError::NotConnected(_))));
-        let narrow = plan_path(&map, [0.15, 0.15, 0.15], to, &PlanConfig::with_radius(0.2));
-        assert!(
-            matches!(narrow, Err(PlanError::NoRoom { end: "start", .. })),
-            "{narrow:?}"
-        );
+        // too near to the border: the nearest place where it fits
+        let narrow = plan_path(&map, [0.15, 0.65, 0.85], to, &PlanConfig::with_radius(0.2));
+        let narrow = narrow.unwrap();
+        assert!((narrow.moved[0] - 0.1).abs() < 1e-9 && narrow.moved[1] == 0.0);
+        assert!((narrow.points[0][0] - 0.25).abs() < 1e-9, "{narrow:?}");
+        assert!(matches!(plan(3.0), Err(PlanError::NoRoom(_))));
         let outside = plan_path(&map, from, [9.0, 0.0, 0.0], &PlanConfig::with_radius(0.2));
         assert!(matches!(
             outside,
             Err(PlanError::Outside { end: "goal", .. })
         ));
         assert!(matches!(plan(f64::NAN), Err(PlanError::Radius(_))));
+    }
+
+    #[test]
+    fn a_robot_on_the_floor_drives_below_what_it_fits_under() {
+        let mut map = room();
+        // a table top over the door, and a step in it
+        let mut fill = |z: i32| {
+            for (x, y) in (18..23).flat_map(|x| (0..20).map(move |y| (x, y))) {
+                map.set_log_odds(VoxelKey::new(x, y, z), Some(2.0)).unwrap();
+            }
+            map.clone()
+        };
+        let below = fill(9);
+        let step = fill(1);
+        let plan = |map: &OccupancyMap, heights| {
+            let config = PlanConfig {
+                heights: Some(heights),
+                ..PlanConfig::with_radius(0.2)
+            };
+            plan_path(map, [0.65, 0.65, 0.0], [3.35, 0.65, 0.0], &config)
+        };
+        let path = plan(&below, [0.0, 0.8]).unwrap();
+        assert!(path.clearance >= 0.2 && path.points.iter().all(|p| p[2] == 0.0));
+        let blocked = Err(PlanError::NotConnected(0.2));
+        assert_eq!(plan(&below, [0.0, 1.2]), blocked);
+        assert_eq!(plan(&step, [0.0, 0.8]), blocked);
     }
 
     #[test]

@@ -147,8 +147,13 @@ impl SurfaceMesh {
             });
             mesh.triangles.extend([[a, b, c], [a, c, d]]);
         }
-        mesh.normals = mesh.vertex_normals();
+        mesh.turn_normals();
         mesh
+    }
+
+    /// Makes the normals those of the triangles again, after vertices have moved.
+    pub fn turn_normals(&mut self) {
+        self.normals = self.vertex_normals();
     }
 
     /// Means of the normals of the triangles around each vertex, weighted by their areas.

@@ -12,9 +12,14 @@ use std::ops::Range;
 /// A colour picture.
 pub type Picture = Image<[u8; 3]>;
 
-/// A PNG file as a data URL, for pages without other files.
-pub fn data_url(png: &[u8]) -> String {
-    format!("data:image/png;base64,{}", base64(png))
+/// A PNG or JPEG file as a data URL, for pages without other files.
+pub fn data_url(picture: &[u8]) -> String {
+    let kind = if picture.starts_with(&[0xff, 0xd8]) {
+        "jpeg"
+    } else {
+        "png"
+    };
+    format!("data:image/{kind};base64,{}", base64(picture))
 }
 
 /// RFC 4648 base64 with padding.

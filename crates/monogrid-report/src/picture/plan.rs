@@ -2,6 +2,7 @@
 //! with the path of the camera and a bar of a round length.
 
 use super::{Picture, data_url};
+use crate::surface::{DXF_END, dxf_head};
 use crate::svg::escape;
 use monogrid_datasets::encode_png_rgb;
 use monogrid_occupancy::{Occupancy, Projection};
@@ -166,6 +167,61 @@ impl Plan<'_> {
         svg + "</svg>\n"
     }
 
+    /// Outlines of obstacles and of what is known, and the path, as DXF: lines on a layer each.
+    pub fn dxf(&self) -> String {
+        let grid = self.grid;
+        let at = |cell: [usize; 2]| {
+            [0, 1].map(|axis| grid.origin[axis] + cell[axis] as f64 * grid.resolution)
+        };
+        let mut dxf = dxf_head(if self.is_metric { "m" } else { "map units" });
+        for axis in 0..2 {
+            let sides = [grid.width, grid.height];
+            for across in 0..=sides[1 - axis] {
+                // along a line between cells, from where one begins to where it ends
+                let mut begun: Option<(&str, usize)> = None;
+                for along in 0..=sides[axis] {
+                    let layer = self.outline(axis, along, across);
+                    if layer == begun.map(|(layer, _)| layer) {
+                        continue;
+                    }
+                    if let Some((layer, from)) = begun {
+                        let ends = [from, along].map(|along| match axis {
+                            0 => at([along, across]),
+                            _ => at([across, along]),
+                        });
+                        dxf += &format!("0\nLINE\n8\n{layer}\n{}", dxf_points(&ends));
+                    }
+                    begun = layer.map(|layer| (layer, along));
+                }
+            }
+        }
+        for pair in self.path.windows(2) {
+            let ends = [0, 1].map(|k| [pair[k][0], pair[k][1]]);
+            dxf += &format!("0\nLINE\n8\npath\n{}", dxf_points(&ends));
+        }
+        dxf + DXF_END
+    }
+
+    /// The layer of the edge between two cells, if they differ: beside each other across an axis.
+    fn outline(&self, axis: usize, along: usize, across: usize) -> Option<&'static str> {
+        let grid = self.grid;
+        let state = |across: Option<usize>| {
+            let [x, y] = match axis {
+                0 => [along, across?],
+                _ => [across?, along],
+            };
+            let is_inside = x < grid.width && y < grid.height;
+            is_inside.then(|| grid.columns[y * grid.width + x])
+        };
+        let [before, after] = [across.checked_sub(1), Some(across)]
+            .map(|across| state(across).unwrap_or(Occupancy::Unknown));
+        match [before, after].contains(&Occupancy::Occupied) {
+            _ if before == after => None,
+            true => Some("obstacle"),
+            false => Some("known"),
+        }
+    }
+
     /// Length of the bar, px, and what stands below it.
     fn bar(&self, cells: &Cells) -> (usize, String) {
         let pixels = cells.scale() as f64 / cells.edge;
@@ -197,6 +253,12 @@ impl Cells {
             height - (y - self.low[1]) * pixels,
         ]
     }
+}
+
+/// Two places as groups of DXF.
+fn dxf_points(ends: &[[f64; 2]; 2]) -> String {
+    let [[x, y], [u, v]] = ends;
+    format!("10\n{x:.4}\n20\n{y:.4}\n30\n0\n11\n{u:.4}\n21\n{v:.4}\n31\n0\n")
 }
 
 fn fill(picture: &mut Picture, from: [usize; 2], to: [usize; 2], colour: [u8; 3]) {
@@ -306,6 +368,25 @@ mod tests {
         );
         // the upper right corner of the last cell
         assert_eq!(cells.pixel([2.5, 0.0, 9.0]), [24.0, 0.0]);
+    }
+
+    #[test]
+    fn outlines_are_lines_on_layers() {
+        let (grid, path) = (grid(), [[1.2, -0.8, 0.0], [2.4, -0.2, 0.0]]);
+        let plan = Plan {
+            grid: &grid,
+            path: &path,
+            is_metric: true,
+        };
+        let dxf = plan.dxf();
+        let lines = |layer: &str| dxf.matches(&format!("LINE\n8\n{layer}\n")).count();
+        // around one cell; left of, below and above two, and on three sides of the one above them
+        assert_eq!(
+            (lines("obstacle"), lines("known"), lines("path")),
+            (4, 6, 1)
+        );
+        // the two cells below are one line
+        assert!(dxf.contains("known\n10\n1.0000\n20\n-1.0000\n30\n0\n11\n2.0000\n21\n-1.0000"));
     }
 
     #[test]

@@ -3,7 +3,6 @@
 
 use super::{ColouredMesh, usdz};
 use crate::ReportError;
-use monogrid_datasets::encode_jpeg_rgb;
 use monogrid_geometry::nalgebra::Vector3;
 use serde_json::{Value, json};
 use std::io::{self, Write};
@@ -16,8 +15,8 @@ pub enum MeshFormat {
     Ply,
     /// Binary glTF with normals and colours, y up as its readers expect.
     Glb,
-    /// Wavefront OBJ with normals, and colours behind the coordinates of a vertex, as most readers
-    /// take them.
+    /// Wavefront OBJ with normals, and a picture beside it ([`MeshFormat::beside`]) or colours
+    /// behind the coordinates of a vertex, as most readers take them.
     Obj,
     /// Binary STL: triangles alone, without colour.
     Stl,
@@ -45,12 +44,29 @@ impl MeshFormat {
         }
     }
 
-    /// Writes a mesh whose lengths are in `unit`.
-    pub fn write(self, mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result<()> {
+    /// Endings of the files that belong to one of this format, and their bytes; `name` is that of
+    /// all of them without its ending.
+    pub fn beside(self, mesh: &ColouredMesh, name: &str) -> Vec<(&'static str, Vec<u8>)> {
+        match (self, &mesh.texture) {
+            (Self::Obj, Some(texture)) => vec![
+                ("mtl", material(name).into_bytes()),
+                ("jpg", texture.jpeg()),
+            ],
+            _ => Vec::new(),
+        }
+    }
+
+    /// Writes a mesh whose lengths are in `unit` into a file of this name without its ending.
+    pub fn write(
+        self,
+        mesh: &ColouredMesh,
+        (unit, name): (&str, &str),
+        out: &mut dyn Write,
+    ) -> io::Result<()> {
         match self {
             Self::Ply => write_ply(mesh, unit, out),
             Self::Glb => write_glb(mesh, unit, out),
-            Self::Obj => write_obj(mesh, unit, out),
+            Self::Obj => write_obj(mesh, (unit, name), out),
             Self::Stl => write_stl(mesh, unit, out),
             Self::Dxf => write_dxf(mesh, unit, out),
             Self::Usdz => usdz::write(mesh, unit, out),
@@ -84,23 +100,57 @@ fn write_ply(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result
     Ok(())
 }
 
-fn write_obj(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result<()> {
+/// The material that shows a picture of this name.
+fn material(name: &str) -> String {
+    format!("newmtl surface\nKa 1 1 1\nKd 1 1 1\nillum 0\nmap_Kd {name}.jpg\n")
+}
+
+fn write_obj(
+    mesh: &ColouredMesh,
+    (unit, name): (&str, &str),
+    out: &mut dyn Write,
+) -> io::Result<()> {
     let surface = &mesh.surface;
     writeln!(out, "# lengths in {unit}")?;
-    for ([x, y, z], colour) in surface.vertices.iter().zip(&mesh.colours) {
-        let [red, green, blue] = colour.map(|value| f32::from(value) / 255.0);
-        writeln!(out, "v {x} {y} {z} {red:.4} {green:.4} {blue:.4}")?;
+    match mesh.texture {
+        Some(_) => {
+            writeln!(out, "mtllib {name}.mtl\nusemtl surface")?;
+            for [x, y, z] in &surface.vertices {
+                writeln!(out, "v {x} {y} {z}")?;
+            }
+        }
+        None => {
+            for ([x, y, z], colour) in surface.vertices.iter().zip(&mesh.colours) {
+                let [red, green, blue] = colour.map(|value| f32::from(value) / 255.0);
+                writeln!(out, "v {x} {y} {z} {red:.4} {green:.4} {blue:.4}")?;
+            }
+        }
     }
     for [x, y, z] in &surface.normals {
         writeln!(out, "vn {x:.5} {y:.5} {z:.5}")?;
     }
-    for triangle in &surface.triangles {
-        // vertices are counted from one
-        let [a, b, c] = triangle.map(|index| index + 1);
-        writeln!(out, "f {a}//{a} {b}//{b} {c}//{c}")?;
+    // vertices and places on the picture are counted from one
+    let triangles = surface.triangles.iter();
+    let triangles = triangles.map(|corners| corners.map(|index| index + 1));
+    let Some(texture) = &mesh.texture else {
+        for [a, b, c] in triangles {
+            writeln!(out, "f {a}//{a} {b}//{b} {c}//{c}")?;
+        }
+        return Ok(());
+    };
+    for [u, v] in (0..surface.triangles.len() / 2).flat_map(|face| texture.corners(face)) {
+        // from below
+        writeln!(out, "vt {u:.6} {:.6}", 1.0 - v)?;
+    }
+    for (k, [a, b, c]) in triangles.enumerate() {
+        let [i, j, l] = FACE[k % 2].map(|corner| k / 2 * 4 + corner + 1);
+        writeln!(out, "f {a}/{i}/{a} {b}/{j}/{b} {c}/{l}/{c}")?;
     }
     Ok(())
 }
+
+/// Corners of the two triangles of a face.
+pub(super) const FACE: [[usize; 3]; 2] = [[0, 1, 2], [0, 2, 3]];
 
 /// Bytes before the triangles of an STL file, which say nothing to a program.
 const STL_HEADER: usize = 80;
@@ -127,11 +177,7 @@ fn write_stl(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result
 /// corner k are 10 + k, 20 + k, 30 + k. A fourth corner that is the third makes a triangle.
 fn write_dxf(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result<()> {
     let surface = &mesh.surface;
-    write!(
-        out,
-        "999\nmonogrid, lengths in {unit}\n0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1009\n0\n\
-         ENDSEC\n0\nSECTION\n2\nENTITIES\n"
-    )?;
+    out.write_all(dxf_head(unit).as_bytes())?;
     for [a, b, c] in &surface.triangles {
         write!(out, "0\n3DFACE\n8\nsurface\n")?;
         for (corner, index) in [a, b, c, c].into_iter().enumerate() {
@@ -139,8 +185,17 @@ fn write_dxf(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result
             write!(out, "1{corner}\n{x}\n2{corner}\n{y}\n3{corner}\n{z}\n")?;
         }
     }
-    write!(out, "0\nENDSEC\n0\nEOF\n")
+    out.write_all(DXF_END.as_bytes())
 }
+
+/// What stands before the entities of a DXF file of release 12, and after them.
+pub(crate) fn dxf_head(unit: &str) -> String {
+    format!(
+        "999\nmonogrid, lengths in {unit}\n0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1009\n0\n\
+         ENDSEC\n0\nSECTION\n2\nENTITIES\n"
+    )
+}
+pub(crate) const DXF_END: &str = "0\nENDSEC\n0\nEOF\n";
 
 /// The unit normal of a triangle by the right-hand rule; 0 where it has no area.
 fn normal_of(corners: &[[f32; 3]; 3]) -> [f32; 3] {
@@ -199,9 +254,12 @@ impl GlbParts {
         let places = places
             .flatten()
             .map(|share| (share * 65_535.0).round() as u16);
-        let corners =
-            (0..num_faces as u32).flat_map(|face| [0, 1, 2, 0, 2, 3].map(|k| 4 * face + k));
-        let mut picture = encode_jpeg_rgb(&texture.image, PICTURE_QUALITY);
+        let corners = (0..num_faces).flat_map(|face| {
+            FACE.into_iter()
+                .flatten()
+                .map(move |k| (4 * face + k) as u32)
+        });
+        let mut picture = texture.jpeg();
         picture.resize(picture.len().next_multiple_of(4), 0);
         Self {
             parts: vec![
@@ -215,9 +273,6 @@ impl GlbParts {
         }
     }
 }
-
-/// Quality of the picture as JPEG.
-const PICTURE_QUALITY: u8 = 85;
 
 fn write_glb(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> io::Result<()> {
     let glb = GlbParts::of(mesh);
@@ -355,6 +410,8 @@ pub(super) fn linear(srgb: u8) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::colours::ColourImage;
+    use crate::surface::Texture;
     use monogrid_occupancy::{SurfaceMesh, VoxelKey};
 
     fn triangle() -> ColouredMesh {
@@ -372,7 +429,7 @@ mod tests {
 
     fn written(format: MeshFormat, mesh: &ColouredMesh) -> Vec<u8> {
         let mut bytes = Vec::new();
-        format.write(mesh, "m", &mut bytes).unwrap();
+        format.write(mesh, ("m", "room"), &mut bytes).unwrap();
         bytes
     }
 
@@ -416,6 +473,32 @@ mod tests {
         assert_eq!(lines[1], "v 0 0 1 1.0000 0.0000 0.7373");
         assert_eq!(lines[4], "vn 0.00000 0.00000 1.00000");
         assert_eq!(lines[7..], ["f 1//1 2//2 3//3"]);
+    }
+
+    #[test]
+    fn an_obj_with_a_picture_names_its_files_and_the_corners_of_blocks() {
+        let mut mesh = triangle();
+        mesh.surface.vertices.push([2.0, -3.0, 1.0]);
+        mesh.surface.normals.push([0.0, 0.0, 1.0]);
+        mesh.surface.triangles = vec![[0, 1, 3], [0, 3, 2]];
+        mesh.texture = Some(Texture {
+            image: ColourImage::filled(8, 8, [9; 3]),
+            block: 8,
+            columns: 1,
+        });
+        let obj = String::from_utf8(written(MeshFormat::Obj, &mesh)).unwrap();
+        let lines: Vec<&str> = obj.lines().collect();
+        assert_eq!(
+            lines[1..4],
+            ["mtllib room.mtl", "usemtl surface", "v 0 0 1"]
+        );
+        // half a pixel from the upper left corner
+        assert_eq!(lines[11], "vt 0.062500 0.937500");
+        assert_eq!(lines[15..], ["f 1/1/1 2/2/2 4/3/4", "f 1/1/1 4/3/4 3/4/3"]);
+        let beside = MeshFormat::Obj.beside(&mesh, "room");
+        let names: Vec<_> = beside.iter().map(|(ending, _)| *ending).collect();
+        assert_eq!(names, ["mtl", "jpg"]);
+        assert!(beside[0].1.ends_with(b"map_Kd room.jpg\n"));
     }
 
     #[test]

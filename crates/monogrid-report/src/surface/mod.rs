@@ -8,5 +8,5 @@ mod usdz;
 
 pub use colour::{CellColours, ColouredMesh, ColouredScan};
 pub use files::MeshFormat;
-pub(crate) use files::extent;
+pub(crate) use files::{DXF_END, dxf_head, extent};
 pub use texture::{SurfaceView, Texture};

@@ -5,6 +5,7 @@ use super::ColouredMesh;
 use crate::colours::{ColourImage, Colours};
 use crate::explorer::Look;
 use crate::picture::over_triangle;
+use monogrid_datasets::encode_jpeg_rgb;
 use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 use monogrid_image::luma_of_rgb;
 use monogrid_mapping::ImageOf;
@@ -17,6 +18,8 @@ const MAX_SIDE: usize = 4096;
 /// Sides of blocks, px: the largest that fits. Blocks of JPEG are as large, so that faces do not
 /// run into each other.
 const BLOCKS: [usize; 2] = [16, 8];
+/// Quality of the picture as JPEG.
+const QUALITY: u8 = 85;
 /// Keyframes at most; of more, some are taken evenly.
 const MAX_VIEWS: usize = 240;
 /// Pixels of an image per pixel of its depths.
@@ -112,6 +115,24 @@ impl Texture {
             block,
             columns: side,
         })
+    }
+
+    /// One whose corners of the first face are these, in the order of [`Texture::corners`]; `None`
+    /// where they are those of no block.
+    pub fn with_first(image: ColourImage, corners: [[f64; 2]; 2]) -> Option<Self> {
+        let width = image.width();
+        let block = ((corners[1][0] - corners[0][0]) * width as f64).round() as usize + 1;
+        let is_known = BLOCKS.contains(&block) && width.is_multiple_of(block);
+        is_known.then_some(Self {
+            columns: width / block,
+            image,
+            block,
+        })
+    }
+
+    /// The picture as JPEG.
+    pub fn jpeg(&self) -> Vec<u8> {
+        encode_jpeg_rgb(&self.image, QUALITY)
     }
 
     /// Where the corners of a face are on the picture, as shares of its sides, from the upper left.

@@ -5,7 +5,7 @@ use super::{MeshModel, albedo_of_grey, linear_luma};
 use monogrid_datasets::{DatasetError, decode_jpeg_rgb, open_file};
 use monogrid_geometry::nalgebra::{Matrix4, Quaternion, UnitQuaternion, Vector3};
 use monogrid_image::Image;
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::io::Read;
 use std::path::Path;
@@ -29,24 +29,55 @@ const Z_UP: Matrix4<f32> = Matrix4::new(
 
 /// Reads the scene of a file.
 pub(super) fn read(path: &Path) -> Result<MeshModel, DatasetError> {
+    read_with(path, scene_of)
+}
+
+/// A picture, and where vertices are on it: shares of its sides from the upper left.
+pub type PictureOf = (Image<[u8; 3]>, Vec<[f64; 2]>);
+
+/// Reads what the first mesh of a file is covered with; `None` where that is no JPEG.
+///
+/// # Errors
+/// When the file cannot be read.
+pub fn read_picture(path: &Path) -> Result<Option<PictureOf>, DatasetError> {
+    read_with(path, |mut scene| {
+        let places = &scene.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"];
+        let Some(picture) = scene.picture(&json!(0)) else {
+            return Ok(None);
+        };
+        let places = scene.accessor(places)?.into_iter();
+        Ok(Some((picture, places.map(|[u, v, ..]| [u, v]).collect())))
+    })
+}
+
+/// What `take` takes of a file.
+fn read_with<T>(
+    path: &Path,
+    take: impl FnOnce(Scene) -> Result<T, String>,
+) -> Result<T, DatasetError> {
     let (mut file, _) = open_file(path)?;
     let mut bytes = Vec::new();
     file.read_to_end(&mut bytes)
         .map_err(|e| DatasetError::io("read", path, e))?;
-    parse(&bytes).map_err(|found| DatasetError::content(path, found, "a whole .glb (glTF 2.0)"))
+    parse(&bytes, take)
+        .map_err(|found| DatasetError::content(path, found, "a whole .glb (glTF 2.0)"))
 }
 
-fn parse(bytes: &[u8]) -> Result<MeshModel, String> {
+fn parse<T>(bytes: &[u8], take: impl FnOnce(Scene) -> Result<T, String>) -> Result<T, String> {
     let (json, binary) = chunks(bytes).ok_or("not the chunks of a .glb")?;
     let json: Value = serde_json::from_slice(json).map_err(|error| error.to_string())?;
-    let mut scene = Scene {
+    take(Scene {
         json: &json,
         binary,
         values_left: VALUES_PER_BYTE * bytes.len(),
         visited: BTreeSet::new(),
         pictures_left: MAX_PICTURES,
         model: MeshModel::default(),
-    };
+    })
+}
+
+fn scene_of(mut scene: Scene) -> Result<MeshModel, String> {
+    let json = scene.json;
     let number = json["scene"].as_u64().unwrap_or(0) as usize;
     for node in numbers(&json["scenes"][number]["nodes"]) {
         scene.add_node(node, Z_UP)?;
@@ -272,7 +303,6 @@ fn displayed(linear: f32) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serde_json::json;
 
     /// A file of this description and these bytes.
     fn file(json: &Value, binary: &[u8]) -> Vec<u8> {
@@ -311,7 +341,7 @@ mod tests {
     #[test]
     fn a_scene_is_turned_z_up_and_has_the_colours_of_its_materials() {
         let (json, binary) = triangle();
-        let mesh = parse(&file(&json, &binary)).unwrap().mesh;
+        let mesh = parse(&file(&json, &binary), scene_of).unwrap().mesh;
         let places = [[10.0, 0.0, 0.0], [11.0, 0.0, 0.0], [10.0, 0.0, 2.0]];
         assert_eq!(
             (mesh.vertices, mesh.triangles),
@@ -342,7 +372,7 @@ mod tests {
         let accessors = json["accessors"].as_array_mut().unwrap();
         accessors
             .push(json!({ "bufferView": 2, "componentType": 5126, "count": 3, "type": "VEC2" }));
-        let colours = parse(&file(&json, &binary)).unwrap().mesh.colours;
+        let colours = parse(&file(&json, &binary), scene_of).unwrap().mesh.colours;
         assert!(colours[0][0] > 230 && colours[0][2] < 20, "{colours:?}");
         assert!(colours[1][0] < 20 && colours[1][2] > 230, "{colours:?}");
     }
@@ -352,12 +382,12 @@ mod tests {
         let (json, binary) = triangle();
         let whole = file(&json, &binary);
         for end in 0..whole.len() - 1 {
-            assert!(parse(&whole[..end]).is_err(), "{end}");
+            assert!(parse(&whole[..end], scene_of).is_err(), "{end}");
         }
         let wrong = |pointer: &str, value: Value| {
             let mut json = json.clone();
             *json.pointer_mut(pointer).unwrap() = value;
-            parse(&file(&json, &binary)).unwrap_err()
+            parse(&file(&json, &binary), scene_of).unwrap_err()
         };
         assert!(wrong("/accessors/0/count", json!(u64::MAX)).contains("accessor 0"));
         assert!(wrong("/accessors/1/componentType", json!(5123)).contains("accessor 1"));
@@ -368,7 +398,7 @@ mod tests {
         often["nodes"] = vec![node; 2000].into();
         often["scenes"][0]["nodes"] = (0..2000).collect::<Vec<_>>().into();
         // a node takes 16 bytes here and has 3 vertices: all of them fit
-        assert!(parse(&file(&often, &binary)).is_ok());
+        assert!(parse(&file(&often, &binary), scene_of).is_ok());
         // what is read of a part, beside its three places, may be more than they are
         let part = often["meshes"][0]["primitives"][0].clone();
         let [mut of_corners, mut of_colours] = [part.clone(), part.clone()];
@@ -390,7 +420,7 @@ mod tests {
         for (part, count) in [(part.clone(), 20), (of_corners, 1), (of_colours, 1)] {
             let mut often = often.clone();
             often["meshes"][0]["primitives"] = vec![part; count].into();
-            let error = parse(&file(&often, &much)).unwrap_err();
+            let error = parse(&file(&often, &much), scene_of).unwrap_err();
             assert!(error.contains("too often"), "{error}");
         }
         assert!(wrong("/bufferViews/1/byteOffset", json!(u64::MAX)).contains("accessor 1"));

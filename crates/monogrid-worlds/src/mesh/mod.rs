@@ -18,6 +18,7 @@ use monogrid_datasets::DatasetError;
 use monogrid_image::{GrayImage, Resize, resize_area};
 use std::path::Path;
 
+pub use glb::read_picture;
 pub use ply::read_ply;
 
 /// A mesh with what it is covered with.

@@ -226,11 +226,10 @@ impl Viewer {
         camera: (&Pinhole, [usize; 2]),
         total: usize,
     ) -> Result<Self, Failure> {
-        let port = match view {
-            View::Browser(port) => *port,
-            View::Rerun(_) => 0,
+        let server = match view {
+            View::Browser(address) => Server::listen_at(*address)?,
+            View::Rerun(_) => Server::listen(0)?,
         };
-        let server = Server::listen(port)?;
         let url = server.url();
         let live = Arc::new(Live::new(total));
         let mut page = Page::default();
@@ -250,7 +249,10 @@ impl Viewer {
             last_image: None,
         };
         match view {
-            View::Browser(_) => eprintln!("{url} shows the run in a browser of this computer"),
+            View::Browser(address) if address.ip().is_loopback() => {
+                eprintln!("{url} shows the run in a browser of this computer");
+            }
+            View::Browser(_) => eprintln!("{url} shows the run to all who know this address"),
             View::Rerun(file) => viewer.rerun = Some(Rerun::start(&url, file.as_deref())?),
         }
         Ok(viewer)

@@ -2,6 +2,7 @@
 
 use crate::process::failure::{Classify, Failure};
 use std::io::Write;
+use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -9,8 +10,8 @@ use std::time::{Duration, Instant};
 /// Who looks at a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum View {
-    /// A browser, at this port; any that is free where it is 0.
-    Browser(u16),
+    /// A browser, at this address; at any port that is free where it is 0.
+    Browser(SocketAddr),
     /// The Rerun viewer, or a file for it.
     Rerun(Option<PathBuf>),
 }
@@ -26,9 +27,17 @@ impl View {
         }
         match text.strip_prefix("rrd=") {
             Some(file) if !file.is_empty() => Ok(Self::Rerun(Some(file.into()))),
-            _ => text.parse().map(Self::Browser).map_err(|_| {
-                "expected a port (0 to 65535; 0: any that is free), rerun, or rrd=FILE".to_owned()
-            }),
+            _ => {
+                let port = text
+                    .parse()
+                    .map(|port: u16| (Ipv4Addr::LOCALHOST, port).into());
+                let address = port.or_else(|_| text.parse());
+                address.map(Self::Browser).map_err(|_| {
+                    "expected a port (0 to 65535; 0: any that is free), an address with a port, \
+                     rerun, or rrd=FILE"
+                        .to_owned()
+                })
+            }
         }
     }
 
@@ -140,7 +149,9 @@ mod tests {
 
     #[test]
     fn a_run_is_looked_at_by_a_browser_or_by_rerun() {
-        assert_eq!(View::parse("8080"), Ok(View::Browser(8080)));
+        let at = |ip: [u8; 4]| Ok(View::Browser((ip, 8080).into()));
+        assert_eq!(View::parse("8080"), at([127, 0, 0, 1]));
+        assert_eq!(View::parse("0.0.0.0:8080"), at([0, 0, 0, 0]));
         assert_eq!(View::parse("rerun"), Ok(View::Rerun(None)));
         let file = View::Rerun(Some("a=b.rrd".into()));
         assert_eq!(View::parse("rrd=a=b.rrd"), Ok(file));

@@ -160,7 +160,7 @@ fn write_mesh(
     mesh.texture = Texture::new(&mesh, surface.views, surface.images);
     let unit = unit_name(ground.is_metric);
     for (name, format) in [("mesh.ply", MeshFormat::Ply), ("mesh.glb", MeshFormat::Glb)] {
-        folder.write_with(name, |out| Ok(format.write(&mesh, unit, out)?))?;
+        folder.write_with(name, |out| Ok(format.write(&mesh, (unit, "mesh"), out)?))?;
     }
     Ok(Some(mesh))
 }
@@ -246,6 +246,7 @@ fn write_grid(
     };
     folder.write("plan.png", plan.png())?;
     folder.write("plan.svg", plan.svg())?;
+    folder.write("plan.dxf", plan.dxf())?;
     Ok(Some(PagePlan::new(&plan, band)))
 }
 

@@ -15,7 +15,7 @@ use monogrid_report::picture::keyframe::{Measured, depth_picture, uncertainty_pi
 use monogrid_report::surface::CellColours;
 use monogrid_report::svg::{Plot, Series, number};
 
-use monogrid_datasets::{encode_png, encode_png_rgb};
+use monogrid_datasets::{encode_jpeg, encode_jpeg_rgb};
 use monogrid_image::Image;
 use monogrid_occupancy::OccupancyMap;
 use monogrid_slam::Keyframe;
@@ -25,6 +25,8 @@ use tracking::{losses, ribbon, tracking_plots};
 
 /// Keyframes shown with their pictures.
 const SHOWN_KEYFRAMES: usize = 8;
+/// Quality of their pictures as JPEG.
+const QUALITY: u8 = 85;
 
 /// What the report shows besides tracking itself.
 #[derive(Debug)]
@@ -75,14 +77,25 @@ pub fn write_page(
         warnings.warning(warning);
     }
     let rest = below_the_explorer(tracked, input);
-    let scene = explore::scene(tracked, input)?;
-    let explorer = |out: &mut dyn Write| explorer::write_section(out, &scene);
+    // without keyframes there is nothing to look at
+    let scene = match input.keyframes {
+        [] => None,
+        _ => Some(explore::scene(tracked, input)?),
+    };
+    let explorer = |out: &mut dyn Write| match &scene {
+        Some(scene) => explorer::write_section(out, scene),
+        None => Ok(()),
+    };
     warnings.write_around(out, (input.title, input.lead), explorer, &rest)?;
     Ok(())
 }
 
 fn below_the_explorer(tracked: &Tracked, input: &ReportInput) -> Page {
     let mut page = Page::default();
+    let losses = losses(&tracked.rows);
+    if input.keyframes.is_empty() || !losses.is_empty() {
+        show_failure(&mut page, tracked, &losses);
+    }
     page.heading("In numbers");
     page.facts(&facts(input));
     if let Some(pictures) = &input.pictures {
@@ -91,8 +104,10 @@ fn below_the_explorer(tracked: &Tracked, input: &ReportInput) -> Page {
         page.picture(&pictures.preview, shown);
         page.note("The surface from the side that was filmed; black: the path of the camera.");
     }
-    page.heading("Path of the camera, from above");
-    page.plot(&path_plot(input));
+    if input.paths.path.len() > 1 {
+        page.heading("Path of the camera, from above");
+        page.plot(&path_plot(input));
+    }
     let pictures = input.pictures.as_ref();
     if let Some(loops) = pictures.and_then(|pictures| pictures.loops.clone()) {
         page.heading("What the loops corrected");
@@ -101,23 +116,53 @@ fn below_the_explorer(tracked: &Tracked, input: &ReportInput) -> Page {
         let is = "after: where the graph of keyframes has it";
         page.row(&[(before, was.into()), (after, is.into())]);
     }
-    page.heading("Tracking");
-    page.ribbon(&ribbon(&tracked.rows));
-    page.note(
-        "green: good, yellow: degraded, red: lost, violet: in a fragment of the map, blue: \
-         starting, grey: no image",
-    );
-    let losses = losses(&tracked.rows);
-    if !losses.is_empty() {
-        page.table(&["frames", "what happened"], &losses);
+    if !tracked.rows.is_empty() {
+        page.heading("Tracking");
+        page.ribbon(&ribbon(&tracked.rows));
+        page.note(
+            "green: good, yellow: degraded, red: lost, violet: in a fragment of the map, blue: \
+             starting, grey: no image",
+        );
     }
-    for plot in tracking_plots(&tracked.rows) {
-        page.plot(&plot);
+    if !input.keyframes.is_empty() {
+        for plot in tracking_plots(&tracked.rows) {
+            page.plot(&plot);
+        }
     }
     show_keyframes(&mut page, tracked);
     page.heading("Settings");
     page.folded("all settings, as in config.toml", input.config);
     page
+}
+
+/// Where the documents say what to do.
+const TROUBLE: &str = concat!(
+    env!("CARGO_PKG_REPOSITORY"),
+    "/blob/main/docs/book/troubleshooting.md"
+);
+
+/// Where it went wrong, what the camera saw there, and what to film instead.
+fn show_failure(page: &mut Page, tracked: &Tracked, losses: &[Vec<String>]) {
+    page.heading("Where it went wrong");
+    if !losses.is_empty() {
+        page.table(&["frames", "what happened"], losses);
+    }
+    let caption = |index: usize| {
+        let row = tracked.rows.iter().find(|row| row.index == index);
+        let reason = row.and_then(|row| row.report()?.reason);
+        let reason = reason.map(|reason| format!(": {reason}"));
+        format!("frame {index}{}", reason.unwrap_or_default())
+    };
+    // the first one shows how a run began that has no keyframe
+    let begun = usize::from(!losses.is_empty() && tracked.run.slam.num_keyframes() > 0);
+    let moments = tracked.moments.iter().skip(begun);
+    let pictures = moments.map(|(index, jpeg)| (jpeg.clone(), caption(*index)));
+    page.row(&pictures.collect::<Vec<_>>());
+    page.html(&format!(
+        "<p>Film again: move sideways while filming, turn slowly, in good light, with something \
+         that has texture in view all the time, and come back to what was seen before. <a \
+         href=\"{TROUBLE}\">When something is wrong</a> says more.</p>"
+    ));
 }
 
 fn facts(input: &ReportInput) -> Vec<(String, String)> {
@@ -146,7 +191,13 @@ fn facts(input: &ReportInput) -> Vec<(String, String)> {
         ("Map", map),
         ("Path", format!("{length} {unit}")),
     ];
-    let facts = facts.into_iter().chain(error_facts(input));
+    // what there is nothing of is not described
+    let described = match input.keyframes {
+        [] => 4,
+        _ => facts.len(),
+    };
+    let facts = facts.into_iter().take(described);
+    let facts = facts.chain(error_facts(input));
     facts
         .map(|(name, value)| (name.to_owned(), value))
         .collect()
@@ -272,7 +323,7 @@ fn show_keyframes(page: &mut Page, tracked: &Tracked) {
     }
 }
 
-/// A keyframe at half its size, as PNG files.
+/// A keyframe at half its size, as JPEG files.
 struct KeyframePictures {
     caption: String,
     image: Vec<u8>,
@@ -299,9 +350,9 @@ impl KeyframePictures {
         Self {
             caption: format!("keyframe {}, frame {}", keyframe.id, keyframe.frame_index),
             points: format!("{} depths", keyframe.pixels.len()),
-            depth: encode_png_rgb(&depth_picture(&image, &measured)),
-            uncertainty: encode_png_rgb(&uncertainty_picture(&image, &measured)),
-            image: encode_png(&image),
+            depth: encode_jpeg_rgb(&depth_picture(&image, &measured), QUALITY),
+            uncertainty: encode_jpeg_rgb(&uncertainty_picture(&image, &measured), QUALITY),
+            image: encode_jpeg(&image, QUALITY),
         }
     }
 }

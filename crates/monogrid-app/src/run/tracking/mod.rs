@@ -3,6 +3,7 @@
 mod frame_log;
 pub mod frames;
 pub mod memory_limit;
+pub mod moments;
 pub mod progress;
 pub mod recorder;
 pub(crate) mod salvage;
@@ -23,6 +24,7 @@ use crate::run::RunSettings;
 use crate::run::live::Viewer;
 use crate::run::tracking::frame_log::FrameLog;
 use crate::run::tracking::frames::{FrameFate, FrameRow};
+use crate::run::tracking::moments::Moments;
 use crate::run::tracking::progress::Progress;
 use crate::run::tracking::salvage::Salvage;
 use crate::run::tracking::tracked::{CpuTimes, EarlyEnd, Tracked};
@@ -45,6 +47,7 @@ pub struct Tracking<'a> {
     settings: &'a RunSettings,
     interrupted: &'a AtomicBool,
     rows: FrameLog,
+    moments: Moments,
     /// Finished keyframes.
     num_keyframes: usize,
     unreadable_in_a_row: usize,
@@ -80,6 +83,7 @@ impl<'a> Tracking<'a> {
             settings,
             interrupted,
             rows: FrameLog::begin(folder),
+            moments: Moments::of(input),
             unreadable_in_a_row: 0,
             is_none_readable: true,
             early_end: None,
@@ -112,6 +116,9 @@ impl<'a> Tracking<'a> {
             (Some(viewer), Some(Ok(image))) => viewer.wanted(image),
             _ => None,
         };
+        if let Some(Ok(image)) = &frame.image {
+            self.moments.look(frame.index, image);
+        }
         self.shutter.taken_out.note(frame.index, frame.readout_ms);
         let rectification = frame.rectification.clone();
         let (index, timestamp_ns, due) = (frame.index, frame.timestamp_ns, frame.due);
@@ -122,6 +129,7 @@ impl<'a> Tracking<'a> {
             fate,
             latency_ms: due.map(|due| 1e3 * posed.saturating_duration_since(due).as_secs_f32()),
         };
+        self.moments.note(&row);
         if let Some(colours) = self.colours {
             self.keep_colours(colours, rectification, &row);
         }
@@ -354,6 +362,7 @@ impl<'a> Tracking<'a> {
         let others = reading + run.cpu.listening + run.cpu.mapping;
         Ok(Tracked {
             rows,
+            moments: self.moments.finish(),
             cpu: CpuTimes {
                 slam: (process_cpu() - process_before).saturating_sub(others),
                 mapping: run.cpu.mapping,

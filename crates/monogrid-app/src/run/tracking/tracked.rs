@@ -1,6 +1,7 @@
 //! What a run found.
 
 use super::frames::FrameRow;
+use super::moments::Moment;
 use monogrid_calibration::CameraMotion;
 use monogrid_pipeline::Finished;
 use monogrid_slam::PoseSource;
@@ -38,6 +39,8 @@ pub struct CpuTimes {
 pub struct Tracked {
     /// Every frame.
     pub rows: Vec<FrameRow>,
+    /// Pictures of where it went wrong.
+    pub moments: Vec<Moment>,
     /// The system, the final trajectory and poses of keyframes, and the maps as they grew.
     pub run: Finished,
     /// CPU time.

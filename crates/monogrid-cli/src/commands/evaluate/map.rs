@@ -89,6 +89,9 @@ pub struct EvaluatePathsArgs {
     pub json: JsonArg,
 }
 
+/// Share of the free space of the truth of which a map of the same place knows something.
+const LEAST_OVERLAP: f64 = 0.1;
+
 /// Compares an estimated map with the true one, cell by cell.
 pub fn map(args: &EvaluateMapArgs) -> CommandResult {
     let is_recording = Source::is_at(&args.estimate);
@@ -247,6 +250,13 @@ pub fn paths(args: &EvaluatePathsArgs) -> CommandResult {
         ..PathConfig::default()
     };
     let report = evaluate_paths(&estimate, &truth, &config).bad_input()?;
+    if report.known_share < LEAST_OVERLAP {
+        eprintln!(
+            "warning: the map knows {} of the free space of the truth: expected maps of the same \
+             place, in one frame and one unit",
+            percent(report.known_share)
+        );
+    }
     args.json.print(&report, || print_paths(&report))
 }
 

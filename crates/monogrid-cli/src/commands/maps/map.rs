@@ -157,7 +157,7 @@ impl Files {
         if let Some((file, format)) = &self.mesh {
             let mesh = built.colours.mesh(&built.map, &built.mesh);
             let mesh = mesh.while_running("the surface cannot be made")?;
-            file.write_with(|out| Ok(format.write(&mesh, built.unit, out)?))?;
+            file.write_with(|out| Ok(format.write(&mesh, (built.unit, "mesh"), out)?))?;
         }
         Ok(file_bytes)
     }

@@ -6,7 +6,7 @@ use monogrid_app::args::{JsonArg, WriteArgs, positive};
 use monogrid_app::mapfile;
 use monogrid_app::output::{Inputs, OutputFile, map_at};
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
-use monogrid_app::run::outputs::UNKNOWN_SCALE_WARNING;
+use monogrid_app::run::outputs::{UNKNOWN_SCALE_WARNING, lowest_and_highest};
 use monogrid_datasets::{read_sim3, read_text};
 use monogrid_evaluation::{PlanConfig, plan_path};
 use monogrid_geometry::Sim3;
@@ -82,7 +82,7 @@ pub struct ProjectArgs {
     /// Map to read (.ot, .bt, .mgo, or the folder of a run)
     pub map: PathBuf,
     /// Image to write: .pgm, with its description beside it (.yaml), or a plan for people with a
-    /// bar of a round length, .png or .svg
+    /// bar of a round length, .png or .svg, or with outlines, .dxf
     pub output: PathBuf,
     /// Cells whose centres are lower are left out [default: as in map.pgm of the run beside it]
     #[arg(long, value_name = "Z")]
@@ -125,15 +125,27 @@ pub struct MeshArgs {
 pub struct PlanArgs {
     /// Map to read (.ot, .bt, .mgo, or the folder of a run)
     pub map: PathBuf,
-    /// Where the robot's centre is, in the unit of the map
-    #[arg(value_name = "FROM", value_parser = point, allow_hyphen_values = true)]
+    /// Where the robot's centre is, in the unit of the map; X,Y on the floor
+    #[arg(value_name = "FROM", value_parser = place, allow_hyphen_values = true)]
     pub from: [f64; 3],
-    /// Where it is to go
-    #[arg(value_name = "TO", value_parser = point, allow_hyphen_values = true)]
+    /// Where it is to go; where the robot does not fit, the nearest place where it does
+    #[arg(value_name = "TO", value_parser = place, allow_hyphen_values = true)]
     pub to: [f64; 3],
-    /// Radius of the robot, a ball, in the unit of the map
+    /// Radius of the robot, a ball or on the floor a disc, in the unit of the map
     #[arg(long, value_name = "R", value_parser = positive)]
     pub robot_radius: f64,
+    /// On the floor, among the obstacles of map.pgm
+    #[arg(long)]
+    pub on_floor: bool,
+    /// On the floor, among what is between these heights
+    #[arg(long, value_name = "LOW,HIGH", value_parser = heights, allow_hyphen_values = true)]
+    pub heights: Option<[f64; 2]>,
+    /// File to write, any number of them: .csv, .json (nav_msgs/Path), .png or .svg
+    #[arg(long, value_name = "FILE")]
+    pub out: Vec<PathBuf>,
+    /// Replace files that exist; never one that is read
+    #[arg(long)]
+    pub force: bool,
     /// The robot may enter cells of which nothing is known
     #[arg(long)]
     pub through_unknown: bool,
@@ -142,13 +154,27 @@ pub struct PlanArgs {
 }
 
 fn point(text: &str) -> Result<[f64; 3], String> {
-    let numbers: Option<Vec<f64>> = text
-        .split(',')
-        .map(|part| part.trim().parse().ok().filter(|v: &f64| v.is_finite()))
-        .collect();
-    numbers
-        .and_then(|numbers| <[f64; 3]>::try_from(numbers).ok())
-        .ok_or_else(|| "expected three numbers, e.g. -1,0,2.5".to_owned())
+    numbers(text).ok_or_else(|| "expected three numbers, e.g. -1,0,2.5".to_owned())
+}
+
+/// A point, or one on the floor.
+fn place(text: &str) -> Result<[f64; 3], String> {
+    let flat = || numbers(text).map(|[x, y]| [x, y, 0.0]);
+    numbers(text)
+        .or_else(flat)
+        .ok_or_else(|| "expected three numbers, e.g. -1,0,2.5, or on the floor two".to_owned())
+}
+
+fn heights(text: &str) -> Result<[f64; 2], String> {
+    let ordered = numbers(text).filter(|[low, high]| low < high);
+    ordered.ok_or_else(|| "expected the lower and the upper height, e.g. 0.1,0.5".to_owned())
+}
+
+/// Just so many numbers between commas.
+fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
+    let number = |part: &str| part.trim().parse().ok().filter(|v: &f64| v.is_finite());
+    let numbers: Option<Vec<f64>> = text.split(',').map(number).collect();
+    numbers?.try_into().ok()
 }
 
 /// The file of a map that is to be written, and its format.
@@ -341,10 +367,10 @@ impl RunBeside {
 /// Writes the map seen from above, for nav2's map server or for people.
 pub fn project(args: &ProjectArgs) -> CommandResult {
     let extension = args.output.extension().unwrap_or_default();
-    let is_plan = extension == "png" || extension == "svg";
+    let is_plan = ["png", "svg", "dxf"].iter().any(|plan| extension == *plan);
     let (Some(name), true) = (args.output.file_name(), is_plan || extension == "pgm") else {
         return Err(Failure::input(format!(
-            "cannot write {}: expected a name that ends in .pgm, .png or .svg",
+            "cannot write {}: expected a name that ends in .pgm, .png, .svg or .dxf",
             args.output.display()
         )));
     };
@@ -376,8 +402,10 @@ pub fn project(args: &ProjectArgs) -> CommandResult {
         yaml_file.write((grid.to_yaml(&name.to_string_lossy()) + &note).as_bytes())?;
     } else if extension == "png" {
         file.write(&plan.png())?;
-    } else {
+    } else if extension == "svg" {
         file.write(plan.svg().as_bytes())?;
+    } else {
+        file.write(plan.dxf().as_bytes())?;
     }
     let report = serde_json::json!({
         "width": grid.width,
@@ -433,7 +461,7 @@ pub fn mesh(args: &MeshArgs) -> CommandResult {
     };
     let mesh = CellColours::unknown().mesh(&map, &config);
     let mesh = mesh.while_running("the surface cannot be made")?;
-    output.write_with(|out| Ok(format.write(&mesh, "the unit of the map", out)?))?;
+    output.write_with(|out| Ok(format.write(&mesh, ("the unit of the map", "mesh"), out)?))?;
     let (vertices, triangles) = (mesh.surface.vertices.len(), mesh.surface.triangles.len());
     let report = serde_json::json!({ "vertices": vertices, "triangles": triangles });
     args.write.json.print(&report, || {
@@ -442,22 +470,114 @@ pub fn mesh(args: &MeshArgs) -> CommandResult {
     })
 }
 
-/// Plans and prints the path.
+/// Plans, prints and writes the path.
 pub fn plan(args: &PlanArgs) -> CommandResult {
+    let inputs = Inputs::of("the map", &args.map);
+    let file = |path: &PathBuf| {
+        let kind = path.extension().unwrap_or_default().to_string_lossy();
+        match ["csv", "json", "png", "svg"].contains(&kind.as_ref()) {
+            true => Ok((
+                OutputFile::new(path, args.force, &inputs)?,
+                kind.into_owned(),
+            )),
+            false => Err(Failure::input(format!(
+                "cannot write {}: expected a name that ends in .csv, .json, .png or .svg",
+                path.display()
+            ))),
+        }
+    };
+    let files: Result<Vec<_>, _> = args.out.iter().map(file).collect();
+    let files = files?;
     let (map, _) = mapfile::load(&args.map)?;
+    let beside = RunBeside::of(&args.map);
+    let lacks_heights =
+        "nothing beside the map says what is in the way; expected --heights LOW,HIGH";
+    let heights = match (args.heights, args.on_floor) {
+        (None, true) => Some(beside.band.ok_or_else(|| Failure::input(lacks_heights))?),
+        (given, _) => given,
+    };
     let config = PlanConfig {
         through_unknown: args.through_unknown,
+        heights,
         ..PlanConfig::with_radius(args.robot_radius)
     };
     let path = plan_path(&map, args.from, args.to, &config).bad_input()?;
+    for (end, moved) in ["start", "goal"].into_iter().zip(path.moved) {
+        if moved > 0.0 {
+            eprintln!(
+                "warning: the robot does not fit at the {end}: the path has it {moved:.3} away"
+            );
+        }
+    }
+    let points = &path.points;
+    let band = heights.unwrap_or_else(|| beside_path(points, args.robot_radius));
+    for (file, kind) in &files {
+        file.write(&match kind.as_str() {
+            "csv" => csv_of(points).into_bytes(),
+            "json" => path_message(points).to_string().into_bytes(),
+            _ => picture_of(&map, points, band, &beside, kind == "png")?,
+        })?;
+    }
     args.json.print(&path, || {
         println!(
             "# x y z in the unit of the map; length {:.3}, at least {:.3} from every obstacle, \
              cells of {}",
             path.length, path.clearance, path.planning_cell
         );
-        for [x, y, z] in &path.points {
+        for [x, y, z] in points {
             println!("{x:.4} {y:.4} {z:.4}");
         }
     })
+}
+
+/// The path on the map from above, as PNG or SVG.
+fn picture_of(
+    map: &OccupancyMap,
+    path: &[[f64; 3]],
+    [low, high]: [f64; 2],
+    beside: &RunBeside,
+    is_png: bool,
+) -> Result<Vec<u8>, Failure> {
+    let grid = map.projected(low, high).bad_input()?;
+    let grid = grid.ok_or_else(|| Failure::input("nothing is known along the path"))?;
+    let plan = Plan {
+        grid: &grid,
+        path,
+        is_metric: beside.is_metric == Some(true),
+    };
+    Ok(match is_png {
+        true => plan.png(),
+        false => plan.svg().into_bytes(),
+    })
+}
+
+/// Lowest and highest of what a ball touches on its way.
+fn beside_path(points: &[[f64; 3]], radius: f64) -> [f64; 2] {
+    let [low, high] = lowest_and_highest(points.iter());
+    [low - radius, high + radius]
+}
+
+fn csv_of(points: &[[f64; 3]]) -> String {
+    let lines = points
+        .iter()
+        .map(|[x, y, z]| format!("{x:.4},{y:.4},{z:.4}\n"));
+    "x,y,z\n".to_owned() + &lines.collect::<String>()
+}
+
+/// A path as ROS 2 has it (`nav_msgs/Path`), in JSON: at each place the robot looks at the next.
+fn path_message(points: &[[f64; 3]]) -> serde_json::Value {
+    let header = serde_json::json!({ "stamp": { "sec": 0, "nanosec": 0 }, "frame_id": "map" });
+    let mut yaw = 0.0;
+    let poses = points.iter().enumerate().map(|(k, [x, y, z])| {
+        if let Some([u, v, _]) = points.get(k + 1) {
+            yaw = f64::atan2(v - y, u - x);
+        }
+        let (sin, cos) = f64::sin_cos(yaw / 2.0);
+        serde_json::json!({ "header": header, "pose": {
+            "position": { "x": x, "y": y, "z": z },
+            "orientation": { "x": 0.0, "y": 0.0, "z": sin, "w": cos },
+        } })
+    });
+    let poses: Vec<_> = poses.collect();
+    serde_json::json!({ "header": header, "poses": poses })
 }

@@ -127,12 +127,13 @@ pub struct RunArgs {
         help_heading = "Input"
     )]
     pub realtime: Option<u64>,
-    /// Show the run while it goes on: in a browser of this computer [port: any that is free]; with
-    /// rerun in the Rerun viewer, with rrd=FILE in a file for it (both by the program
-    /// monogrid-rerun)
+    /// Show the run while it goes on: in a browser of this computer [port: any that is free], with
+    /// 0.0.0.0:PORT of this network too; with rerun in the Rerun viewer, with rrd=FILE in a file
+    /// for it (both by the program monogrid-rerun)
     #[arg(
-        long, value_name = "PORT|rerun|rrd=FILE", num_args = 0..=1, default_missing_value = "0",
-        require_equals = true, value_parser = View::parse, help_heading = "Output"
+        long, value_name = "[IP:]PORT|rerun|rrd=FILE", num_args = 0..=1,
+        default_missing_value = "0", require_equals = true, value_parser = View::parse,
+        help_heading = "Output"
     )]
     pub view: Option<View>,
     /// Threads of computation [default: all cores]; the results do not depend on it

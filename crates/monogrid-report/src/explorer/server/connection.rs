@@ -3,7 +3,7 @@
 use super::{Answer, Limits};
 use httparse::{EMPTY_HEADER, Error, Request, Status};
 use std::io::{self, ErrorKind, Read, Write};
-use std::net::{Shutdown, SocketAddr, TcpStream};
+use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, Builder, JoinHandle};
@@ -169,15 +169,22 @@ impl Site {
     }
 
     /// Whether the browser asked for this computer by its own name, and by nothing else: a page
-    /// from elsewhere whose name leads here must not read maps.
+    /// from elsewhere whose name leads here must not read maps. Where others may look, a number is
+    /// as good.
     fn is_meant(&self, request: &Request) -> bool {
         let port = self.address.port();
-        let known = ["127.0.0.1", "localhost"].map(|name| format!("{name}:{port}"));
+        let is_known = |host: &str| {
+            let number: Option<SocketAddr> = host.parse().ok();
+            let is_own = number.is_some_and(|number| {
+                let is_here = number.ip() == Ipv4Addr::LOCALHOST;
+                number.port() == port && (is_here || !self.address.ip().is_loopback())
+            });
+            is_own || host.strip_prefix("localhost:") == Some(&port.to_string())
+        };
         let headers = request.headers.iter();
         let mut hosts = headers.filter(|header| header.name.eq_ignore_ascii_case("Host"));
-        let is_known = |host: &[u8]| known.iter().any(|known| known.as_bytes() == host);
-        let host = hosts.next();
-        host.is_some_and(|host| is_known(host.value)) && hosts.next().is_none()
+        let host = hosts.next().map(|host| std::str::from_utf8(host.value));
+        matches!(host, Some(Ok(host)) if is_known(host)) && hosts.next().is_none()
     }
 
     /// The path below the address of this site.

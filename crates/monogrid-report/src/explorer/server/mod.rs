@@ -1,4 +1,4 @@
-//! Pages for the browser of this computer, and for nobody else.
+//! Pages for the browser of this computer, and for nobody else unless that is asked for.
 //!
 //! Every program of this computer can connect, whoever started it. So the address holds a random
 //! token, only requests without a body are answered, and what a connection may take is limited:
@@ -11,7 +11,7 @@ mod tests;
 
 use crate::ReportError;
 use connection::{Answers, Connection, Site};
-use std::net::{Ipv4Addr, SocketAddr, TcpListener};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener, UdpSocket};
 use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -111,7 +111,12 @@ pub struct Server {
 impl Server {
     /// Begins to listen; port 0 is any that is free.
     pub fn listen(port: u16) -> Result<Self, ReportError> {
-        Self::limited(port, LIMITS)
+        Self::listen_at((Ipv4Addr::LOCALHOST, port).into())
+    }
+
+    /// Begins to listen at an address, for all who reach it and know the token.
+    pub fn listen_at(address: SocketAddr) -> Result<Self, ReportError> {
+        Self::at(address, Some(token()?), LIMITS)
     }
 
     /// Begins to listen at an address, for everybody who reaches it: there is no token, and other
@@ -120,6 +125,7 @@ impl Server {
         Self::at(address, None, LIMITS)
     }
 
+    #[cfg(test)]
     fn limited(port: u16, limits: Limits) -> Result<Self, ReportError> {
         let address = (Ipv4Addr::LOCALHOST, port).into();
         Self::at(address, Some(token()?), limits)
@@ -143,6 +149,10 @@ impl Server {
     /// What to open in a browser.
     pub fn url(&self) -> String {
         let Site { address, token, .. } = &self.site;
+        let mut address = *address;
+        if let (true, Some(own)) = (address.ip().is_unspecified(), own_address()) {
+            address.set_ip(own);
+        }
         let token = token
             .as_ref()
             .map_or_else(String::new, |token| format!("{token}/"));
@@ -246,6 +256,15 @@ impl Serving {
         let end = self.thread.join();
         end.map_err(|_| "a thread that answers browsers has panicked; the message above says why")
     }
+}
+
+/// The address by which others of the network reach this computer: nothing is sent for it.
+fn own_address() -> Option<IpAddr> {
+    // where documents' examples live (RFC 5737), so never near
+    const FAR: (Ipv4Addr, u16) = (Ipv4Addr::new(192, 0, 2, 1), 9);
+    let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).ok()?;
+    socket.connect(FAR).ok()?;
+    Some(socket.local_addr().ok()?.ip())
 }
 
 /// A part of the address that nobody guesses, hexadecimal.

@@ -562,3 +562,24 @@ fn an_open_server_answers_everybody_and_takes_nothing_in() {
     assert!(ask("POST /metrics HTTP/1.1\r\n\r\n").starts_with("HTTP/1.1 405"));
     serving.unwrap().end().unwrap();
 }
+
+#[test]
+fn whoever_may_look_from_elsewhere_knows_the_token_and_asks_for_a_number() {
+    let server = Server::listen_at((Ipv4Addr::UNSPECIFIED, 0).into()).unwrap();
+    let url = server.url();
+    let port = server.site.address.port();
+    let path = url.split_once(&format!(":{port}")).unwrap().1.to_owned();
+    assert!(!url.contains("//0.0.0.0"), "{url}");
+    let serving = server.start(|_| Some(Answer::json(b"map".to_vec())));
+    let asked = |host: &str, path: &str| {
+        let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, port)).unwrap();
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n").unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        answer[9..12].to_owned()
+    };
+    assert_eq!(asked("192.168.7.7", &path), "200");
+    assert_eq!(asked("192.168.7.7", "/"), "404");
+    assert_eq!(asked("evil.example", &path), "403");
+    serving.unwrap().end().unwrap();
+}

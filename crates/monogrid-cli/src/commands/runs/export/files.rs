@@ -6,7 +6,8 @@ use monogrid_app::output::{MAP, OutputFile};
 use monogrid_app::process::failure::{Classify, Failure};
 use monogrid_datasets::open_file;
 use monogrid_occupancy::{SurfaceMesh, VoxelKey, write_colour_ot};
-use monogrid_report::surface::{ColouredMesh, MeshFormat};
+use monogrid_report::surface::{ColouredMesh, MeshFormat, Texture};
+use monogrid_worlds::read_picture;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_ply::PlyReader;
@@ -16,6 +17,8 @@ use std::path::Path;
 
 /// The surface of a run.
 pub const MESH: &str = "mesh.ply";
+/// The same with the picture on it, where it has one.
+pub const MODEL: &str = "mesh.glb";
 /// Its occupied cells with their colours.
 pub const CELLS: &str = "cells.ply";
 /// Steps of coordinates in LAS, map units.
@@ -83,8 +86,21 @@ fn open(path: &Path) -> Result<PlyReader<BufReader<File>>, Failure> {
     reader.map_err(|error| Failure::input(format!("{}: {}", path.display(), error.0)))
 }
 
-/// Writes the surface in another format; how many triangles it has.
-pub fn write_mesh(run: &Path, output: &OutputFile, format: MeshFormat) -> Result<usize, Failure> {
+/// The picture on a surface of so many triangles, where the run has one.
+fn picture_of(run: &Path, triangles: usize) -> Option<Texture> {
+    let (image, corners) = read_picture(&run.join(MODEL)).ok()??;
+    let first = corners.first_chunk()?;
+    let texture = Texture::with_first(image, *first)?;
+    (corners.len() == 2 * triangles).then_some(texture)
+}
+
+/// Writes the surface in another format, with the files that belong to it beside it; how many
+/// triangles it has.
+pub fn write_mesh(
+    run: &Path,
+    output: &OutputFile,
+    (format, beside): (MeshFormat, impl Fn(&Path) -> Result<OutputFile, Failure>),
+) -> Result<usize, Failure> {
     let path = run.join(MESH);
     let mut reader = open(&path)?;
     let vertices: Vec<MeshVertex> = rows(&mut reader, &path)?;
@@ -100,7 +116,7 @@ pub fn write_mesh(run: &Path, output: &OutputFile, format: MeshFormat) -> Result
     }
     let count = triangles.len();
     let mesh = ColouredMesh {
-        texture: None,
+        texture: picture_of(run, count),
         colours: vertices.iter().map(|v| [v.red, v.green, v.blue]).collect(),
         surface: SurfaceMesh {
             vertices: vertices.iter().map(|v| [v.x, v.y, v.z]).collect(),
@@ -109,7 +125,14 @@ pub fn write_mesh(run: &Path, output: &OutputFile, format: MeshFormat) -> Result
             triangles,
         },
     };
-    output.write_with(|out| Ok(format.write(&mesh, "the unit of the run", out)?))?;
+    let path = output.path();
+    let name = path.file_stem().unwrap_or_default().to_string_lossy();
+    let files = format.beside(&mesh, &name).into_iter();
+    let files = files.map(|(ending, bytes)| Ok((beside(&path.with_extension(ending))?, bytes)));
+    for (file, bytes) in files.collect::<Result<Vec<_>, Failure>>()? {
+        file.write(&bytes)?;
+    }
+    output.write_with(|out| Ok(format.write(&mesh, ("the unit of the run", &name), out)?))?;
     Ok(count)
 }
 

@@ -46,13 +46,13 @@ pub enum Target {
     Colmap,
     /// Folder: images, transforms.json and points for nerfstudio, instant-ngp and Gaussian splats
     Nerf,
-    /// File: the surface with colours
+    /// File: the surface with colours, or with its material (.mtl) and picture (.jpg) beside it
     Obj,
     /// File: the surface as bare triangles
     Stl,
     /// File: the surface as faces, for programs that draw plans
     Dxf,
-    /// File: the surface with colours, for telephones and programs of animation
+    /// File: the surface with its picture, for telephones and programs of animation
     Usdz,
     /// File: the semi-dense cloud with colours, for programs that survey
     Las,
@@ -62,7 +62,9 @@ pub enum Target {
 
 /// Writes a run in another format.
 pub fn execute(args: &ExportArgs) -> CommandResult {
-    let mesh = |format| move |run: &Path, out: &OutputFile| files::write_mesh(run, out, format);
+    let beside = |path: &Path| OutputFile::new(path, args.write.force, &inputs_of(&args.run));
+    let mesh =
+        |format| move |run: &Path, out: &OutputFile| files::write_mesh(run, out, (format, beside));
     match args.to {
         Target::Colmap => export_images(args, |folder, scene, _| colmap::write(folder, scene)),
         Target::Nerf => export_images(args, nerf::write),
@@ -78,6 +80,7 @@ pub fn execute(args: &ExportArgs) -> CommandResult {
 fn inputs_of(run: &Path) -> Inputs {
     let own = [
         files::MESH,
+        files::MODEL,
         CLOUD,
         files::CELLS,
         MAP,
