@@ -53,8 +53,8 @@ pub use graph::{
 pub use ids::{FragmentId, KeyframeId, MAIN_MAP};
 pub use inertial_path::{InertialPath, SensedFrame};
 pub use keyframe::{
-    DepthPixel, KeptKeyframe, Keyframe, KeyframeCamera, PoseSnapshot, Scale, TrackedFrame,
-    TrajectoryPose,
+    DepthPixel, KeptKeyframe, Keyframe, KeyframeCamera, KeyframeInUse, PoseSnapshot, Scale,
+    TrackedFrame, TrajectoryPose,
 };
 pub use map::{Counts, Event};
 pub use report::{

@@ -51,6 +51,10 @@ pub struct Args {
     /// Settings of tracking and mapping (TOML with [slam] and [mapping], as `config.toml` of a run)
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
+    /// The settings that --config changes: default, fast (small computers) or thesis (LSD-SLAM)
+    /// [default: that of --config, else default]
+    #[arg(long, value_name = "PROFILE", value_parser = ["default", "fast", "thesis"])]
+    pub profile: Option<String>,
     /// Name of the node
     #[arg(long, value_name = "NAME", default_value = "monogrid")]
     pub name: String,

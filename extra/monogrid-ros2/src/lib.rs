@@ -11,6 +11,7 @@ pub mod args;
 pub mod clock;
 pub mod convert;
 pub mod frames;
+pub mod local;
 pub mod log;
 pub mod maps;
 pub mod node;

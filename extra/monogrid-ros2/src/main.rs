@@ -9,6 +9,7 @@ use monogrid_inertial::Imu;
 use monogrid_pipeline::Settings;
 use monogrid_ros2::args::Args;
 use monogrid_ros2::clock::Clock;
+use monogrid_ros2::local::Local;
 use monogrid_ros2::log::{Log, LogForm, Severity};
 use monogrid_ros2::maps::Maps;
 use monogrid_ros2::node::{RosNode, connect};
@@ -94,6 +95,7 @@ fn run(args: Args) -> anyhow::Result<()> {
     let log = Arc::new(Log::new(&mut node, &args, Arc::clone(&clock))?);
     let publisher = PosePublisher::new(&mut node, &args.frames)?;
     let topics = MapTopics::new(&mut node, &args.frames.map_frame)?;
+    let local = Local::new(&mut node, &args)?;
     let inputs = Inputs::new(&mut node, &args)?;
 
     let map_from_world = settings.map_from_world;
@@ -101,7 +103,7 @@ fn run(args: Args) -> anyhow::Result<()> {
         settings,
         &args,
         camera,
-        publisher,
+        (publisher, local),
         news_sender,
         Arc::clone(&log),
     );
@@ -145,10 +147,7 @@ fn say_beginning(log: &Log, args: &Args) {
 }
 
 fn settings(args: &Args) -> anyhow::Result<Settings> {
-    let settings = match &args.config {
-        Some(path) => read_settings(path)?,
-        None => Settings::default(),
-    };
+    let settings = read_settings(args.profile.as_deref(), args.config.as_deref())?;
     let axes = args.frames.mount().rotation;
     Ok(Settings {
         threads: match args.threads {
