@@ -5,8 +5,8 @@
 #     scripts/thesis-comparison.sh [folder for the results]
 #
 # Two to three hours on two free cores with all resolutions; what was interrupted goes on where it was. RESOLUTIONS
-# (metres, with commas) names fewer, STARTS more or fewer starts. MACHINE= leaves the large scene out. Needs the
-# recording icl-office-kt3 (scripts/data.sh), in the folder that MONOGRID_DATA names, and Python 3.
+# (metres, with commas) names fewer, STARTS more or fewer starts. MACHINE= leaves the large scene out, PAGES= the pages
+# as they are. Needs the recording icl-office-kt3 (scripts/data.sh), in the folder that MONOGRID_DATA names, and Python 3.
 set -euo pipefail
 out=${1:-thesis-comparison} monogrid=${MONOGRID:-target/release/monogrid}
 here=$(dirname "$0")
@@ -64,5 +64,8 @@ if [ "${MACHINE-yes}" ]; then
 fi
 
 "$monogrid" thesis sensor-model --plot "$out/sensor-models"
-COMMIT=${COMMIT:-$(git -C "$here" rev-parse HEAD)} python3 "$here/thesis_page.py" collect "$out"
-echo "docs/thesis-comparison.md and docs/thesis/tables.md are printed; $out/sweep/sweep.html has all figures"
+if [ "${PAGES-yes}" ]; then
+  COMMIT=${COMMIT:-$(git -C "$here" rev-parse HEAD)} python3 "$here/thesis_page.py" collect "$out"
+  echo "docs/thesis-comparison.md and docs/thesis/tables.md are printed"
+fi
+echo "$out/sweep/sweep.html has all figures"

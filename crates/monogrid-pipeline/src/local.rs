@@ -8,7 +8,8 @@ use std::panic::resume_unwind;
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::{self, JoinHandle};
 
-/// Time of the images between two maps at least, ns: 6 in a second of a camera of 30 Hz, 5 at 10 Hz.
+/// Time of the images between two maps at least, ns: 6 maps in a second of a camera of 30 Hz, 5 at
+/// 10 Hz.
 const EVERY_NS: i64 = 150_000_000;
 
 /// The map around the camera at one moment, in the frame of odometry. It never changes.

@@ -55,8 +55,8 @@ impl Local {
         self.mapper = None;
     }
 
-    /// Takes the newest image, which is at `odom_from_camera` (m). With another scale the map begins
-    /// again.
+    /// Takes the newest image, which is at `odom_from_camera` (m). With another scale the map
+    /// begins again.
     pub fn take(
         &mut self,
         pipeline: &Pipeline,

@@ -15,7 +15,7 @@ use monogrid_occupancy::{MapError, OccupancyMap};
 pub struct LocalMap {
     mapper: Mapper,
     /// Keyframes that are in use no longer.
-    settled: OccupancyMap,
+    before: OccupancyMap,
     newest: Option<Newest>,
 }
 
@@ -33,7 +33,7 @@ impl LocalMap {
     /// A setting of the map outside its range.
     pub fn new(mapper: Mapper) -> Result<Self, MapError> {
         Ok(Self {
-            settled: mapper.empty_map()?,
+            before: mapper.empty_map()?,
             mapper,
             newest: None,
         })
@@ -57,13 +57,13 @@ impl LocalMap {
                 scan,
                 local_from_keyframe: pose,
             }) => {
-                self.mapper.integrate(&mut self.settled, &scan, &pose)?;
-                self.settled = self.settled.within(camera.into(), radius)?;
+                self.mapper.integrate(&mut self.before, &scan, &pose)?;
+                self.before = self.before.within(camera.into(), radius)?;
                 local_from_keyframe
             }
             None => local_from_keyframe,
         };
-        let mut map = self.settled.clone();
+        let mut map = self.before.clone();
         self.mapper
             .integrate(&mut map, &scan, &local_from_keyframe)?;
         self.newest = Some(Newest {
