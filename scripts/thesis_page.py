@@ -38,7 +38,15 @@ KEPT = ["recording", "model", "parameter", "resolution", "points", "extent_x", "
 KEPT += ["auc_observed", "auc_known", "mcc_observed", "precision_observed", "recall_observed"]
 KEPT += ["coverage_free_in_view", "coverage_occupied_in_view", "occupied_ratio"]
 SCORES = {"auc_26_known": "AUC of known cells", "auc_observed": "AUC of observed cells", "mcc_observed": "MCC"}
-FIGURES = re.compile(r"figure-(6\.(8|13|14|15|16|17)|memory)-(?!roc-observed).*\.svg")
+# beginnings of the names of figures, and what they are
+FIGURES = {
+    "figure-6.8-distribution": "Distribution of probabilities, mean of all maps (Figure 6.8)",
+    "figure-6.13-roc-thrun": "ROC curves of known cells, Thrun (Figure 6.13)",
+    "figure-6.14-roc-andert": "The same, Andert (Figure 6.14)",
+    "figure-6.16-roc-equal-area": "Two values of L with nearly the same area (Figure 6.16)",
+    "figure-6.17-roc-best": "The best of each model (Figure 6.17)",
+    "figure-memory-growth": "Memory while the map grows; dashed: maximum likelihood (6.1.3)",
+}
 
 
 def mm(edge):
@@ -223,6 +231,21 @@ def sweep_table(name):
     return printed
 
 
+def panels(beginning):
+    """Pictures of a figure, by the size of their cells."""
+    found = RESULTS.parent.glob(f"{beginning}-*.svg")
+    return sorted((p.name for p in found), key=lambda name: (int("0" + "".join(re.findall(r"-(\d+)mm", name))), name))
+
+
+def figures(_):
+    parts = []
+    for beginning, title in FIGURES.items():
+        names = panels(beginning)
+        pictures = [f'<img src="thesis/{name}" width="{min(32, 96 // len(names))}%">' for name in names]
+        parts += [f"{title}:", "\n".join(pictures)] if pictures else []
+    return "\n\n".join(parts)
+
+
 def measured(office):
     results = office.results
     sizes = listed([mm(size) for size in office.sizes])
@@ -231,6 +254,7 @@ def measured(office):
 
 BLOCKS = {
     "measured": measured,
+    "figures": figures,
     "recordings": recordings,
     "areas-thrun": lambda office: areas(office, "thrun", "auc_26_known"),
     "areas-andert": lambda office: areas(office, "andert", "auc_26_known"),
@@ -313,8 +337,10 @@ def collect(folder):
         "machine-memory": read_table(folder / "machine-sweep/machine/table-6.4-memory.csv"),
         "machine-speed": read_table(folder / "machine-sweep/machine/table-6.6-6.7-speed.csv"),
     }
-    for figure in [*first.glob("*.svg"), *(folder / "sensor-models").glob("*.svg")]:
-        if FIGURES.fullmatch(figure.name) or figure.name.startswith("figure-5."):
+    for old in [name for beginning in FIGURES for name in panels(beginning)]:
+        (RESULTS.parent / old).unlink()
+    for beginning, source in [*((beginning, first) for beginning in FIGURES), ("figure-5.", folder / "sensor-models")]:
+        for figure in source.glob(f"{beginning}*.svg"):
             shutil.copy(figure, RESULTS.parent / figure.name)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     results = {
