@@ -19,6 +19,7 @@ import re
 import shutil
 import subprocess
 import sys
+import textwrap
 import time
 from pathlib import Path
 from statistics import mean
@@ -150,6 +151,11 @@ def best(office):
     return table(columns, rows)
 
 
+def points(lines):
+    """A list, in lines of at most 100 characters."""
+    return "\n".join(textwrap.fill(line, 100, subsequent_indent="  ", break_on_hyphens=False) for line in lines)
+
+
 def said_of_areas(office):
     sizes = office.sizes
     thrun = {size: office.best("thrun", size) for size in sizes}
@@ -175,10 +181,10 @@ def said_of_areas(office):
     if len(above) == len(sizes):
         lines.append(f"* **Our default settings are ahead of both** at every size, by {between(by)}, on the same depth of the same keyframes.")
     else:
-        lines.append(f"* Our default settings are ahead of both at {len(above)} of {len(sizes)} sizes; the differences are {between(by)}.")
+        lines.append(f"* Our default settings are ahead of both at {len(above)} of {len(sizes)} sizes; ours less the larger of theirs is {between(by)}.")
     spread = [(max(v) - min(v)) / 2 for v in (office.values(m, p, s, "auc_26_known") for m in FAMILIES for p in office.parameters(m) for s in sizes) if v]
     lines.append(f"* A start changes an area by up to {max(spread):.3f}: differences below that say nothing.")
-    return "\n".join(lines)
+    return points(lines)
 
 
 def said_of_best(office):
@@ -190,9 +196,9 @@ def said_of_best(office):
         return between([factor * of(model, score, size) for model in models for size in office.sizes], form)
 
     fixed = list(FAMILIES)
-    return "\n".join(
+    return points(
         [
-            f"* **Coverage** is the same for both models: {range_of(fixed, 'coverage_occupied_in_view', '{:.0f}', 100)} % of the occupied cells"
+            f"* **Coverage**: {range_of(fixed, 'coverage_occupied_in_view', '{:.0f}', 100)} % of the occupied cells"
             f" that a keyframe looks at are observed, ours {range_of(['automatic'], 'coverage_occupied_in_view', '{:.0f}', 100)} %."
             " What is not observed counts as 0.5.",
             f"* **Of what is observed**, the best fixed values have an MCC of {range_of(fixed, 'mcc_observed')}, ours"
@@ -220,7 +226,7 @@ def said_of_far(office):
     lines = []
     for cut in cuts:
         lines.append(f"* {cut['cut']}: the file is {whole['bytes'] / cut['bytes']:.1f} times smaller.")
-    return "\n".join(lines)
+    return points(lines)
 
 
 def sweep_table(name):
@@ -249,7 +255,8 @@ def figures(_):
 def measured(office):
     results = office.results
     sizes = listed([mm(size) for size in office.sizes])
-    return f"Measured with commit {results['commit'][:12]} on {results['day']}, cells of {sizes} ({results['machine']})."
+    text = f"Measured with commit {results['commit'][:12]} on {results['day']}, cells of {sizes} ({results['machine']})."
+    return textwrap.fill(text, 100, break_on_hyphens=False)
 
 
 BLOCKS = {
