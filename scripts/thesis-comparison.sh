@@ -57,7 +57,7 @@ END
 
 # the large scene
 if [ "${MACHINE-yes}" ]; then
-  [ -f "$out/machine-hall/rgb.txt" ] || "$monogrid" synth machine-hall --frames 2000 --depth-every 20 --out "$out/machine-hall"
+  [ -f "$out/machine-hall/rgb.txt" ] || "$monogrid" synth machine-hall --frames 1000 --depth-every 20 --out "$out/machine-hall"
   run "$out/machine" "$out/machine-hall" --align "gt:$out/machine-hall/groundtruth.txt"
   "$monogrid" thesis sweep "$out/machine/recording.mgk" --align "gt:$out/machine-hall/groundtruth.txt" \
     --resolutions "$resolutions" --memory 6 --out "$out/machine-sweep"

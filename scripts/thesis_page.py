@@ -103,10 +103,9 @@ class Office:
         return sorted({r["parameter"] for r in self.maps if r["model"] == model})
 
     def best(self, model, size, score="auc_26_known"):
-        """The best value and its score; ties by recall, as in the thesis."""
-        known = [(p, self.mean(model, p, size, score)) for p in self.parameters(model)]
-        known = [(round(v, 2), self.mean(model, p, size, "recall_observed"), p, v) for p, v in known if v is not None]
-        _, _, parameter, value = max(known)
+        """The value with the largest mean, and that mean."""
+        known = [(self.mean(model, p, size, score), p) for p in self.parameters(model)]
+        value, parameter = max((v, p) for v, p in known if v is not None)
         return parameter, value
 
 
