@@ -463,7 +463,6 @@ fn what_is_around_the_camera_stays_where_it_is_when_the_map_is_corrected() {
             }
         }
     }
-    println!("{keyframes} keyframes, correction {correction}, shift {shift}");
     assert!(keyframes > 5, "{keyframes}");
     assert!(correction > 0.01, "nothing was corrected: {correction}");
     assert!(

@@ -2,7 +2,7 @@
 //! moves it.
 
 use crate::args::Args;
-use crate::convert::octomap_of;
+use crate::convert::{MAX_BYTES, octomap_of, part_that_fits};
 use crate::node::{Outlet, Quality, RosNode};
 use crate::shown::{Seen, Shown};
 use monogrid_bags::convert::grid_of;
@@ -114,11 +114,19 @@ impl LocalTopics {
             frame_id: self.frame.clone(),
         };
         // one that cannot be sent is followed by the next
+        let [x, y, _] = shown.camera;
         if let Some(grid) = shown.grid.filter(|_| self.grid.is_heard()) {
+            let grid = grid.around([x, y], MAX_BYTES);
             let _ = self.grid.publish(grid_of(header.clone(), stamp, &grid));
         }
         if self.tree.is_heard() {
-            let _ = self.tree.publish(octomap_of(header, &shown.map, true)?);
+            let (tree, _) = part_that_fits(
+                &shown.map,
+                shown.camera,
+                |map| octomap_of(header.clone(), map, true),
+                |tree| tree.data.len() <= MAX_BYTES,
+            )?;
+            let _ = self.tree.publish(tree);
         }
         Ok(())
     }
