@@ -13,6 +13,7 @@ quick:
     python3 scripts/links.py
     python3 scripts/words.py
     python3 scripts/results.py
+    python3 scripts/thesis_page.py
     python3 scripts/source.py
     python3 scripts/arrows.py
     python3 scripts/commands.py

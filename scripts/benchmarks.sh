@@ -209,7 +209,7 @@ part_paths() {
 
 part_sweep() {
   if [ "$mode" = full ]; then
-    MONOGRID=$bin scripts/thesis-comparison.sh "$results/sweep" >/dev/null
+    MONOGRID=$bin PAGES= scripts/thesis-comparison.sh "$results/sweep" >/dev/null
     cat "$results/sweep/sweep/tables.md"
   else
     room_run office

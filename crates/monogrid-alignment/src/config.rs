@@ -69,8 +69,8 @@ impl Default for AlignmentConfig {
 }
 
 impl AlignmentConfig {
-    /// The settings of LSD-SLAM: levels 3 to 1, Huber weights; gain and bias inside the solve
-    /// instead of one iteration late.
+    /// The settings of LSD-SLAM, which begins at level 4: levels 3 to 1, Huber weights; gain and
+    /// bias inside the solve instead of one iteration late.
     #[must_use]
     pub fn thesis() -> Self {
         Self {

@@ -5,7 +5,8 @@ use crate::args::{MappingArgs, Profile};
 use crate::process::failure::{Classify, Failure};
 use monogrid_datasets::read_file;
 use monogrid_image::WorkingSize;
-use monogrid_mapping::{MAPPING, MapQuality, MappingConfig};
+use monogrid_mapping::{MAPPING, MappingConfig};
+use monogrid_pipeline::Settings;
 use monogrid_slam::SlamConfig;
 use monogrid_slam::settings::{self, SLAM};
 use std::path::Path;
@@ -32,30 +33,17 @@ pub struct RunConfig {
 impl RunConfig {
     /// The complete configuration of a profile.
     pub fn of(profile: Profile) -> Self {
-        let mut config = Self {
+        let settings = Settings::of_profile(profile.name()).unwrap_or_default();
+        Self {
             profile,
-            seed: 0,
-            working_pixels: WorkingSize::AUTOMATIC_PIXELS,
-            slam: SlamConfig::default(),
-            mapping: MappingConfig::default(),
-        };
-        match profile {
-            Profile::Default => {}
-            Profile::Fast => {
-                config.working_pixels = 400 * 300;
-                config.mapping.quality = MapQuality::Fast;
-                // in smaller images the start takes longer to be sure of; as many more of them fit
-                // in the same memory
-                config.slam.initialization.max_buffered_frames *= 2;
-                // the second round moves points by hundredths of a pixel
-                config.slam.sparse.final_rounds = 1;
-            }
-            Profile::Thesis => {
-                config.slam = SlamConfig::thesis();
-                config.mapping = MappingConfig::thesis();
-            }
+            seed: settings.seed,
+            working_pixels: match settings.working_size {
+                WorkingSize::Pixels(pixels) => pixels,
+                _ => WorkingSize::AUTOMATIC_PIXELS,
+            },
+            slam: settings.slam,
+            mapping: settings.mapping,
         }
-        config
     }
 
     /// The configuration of a profile with the values of a file and of `key=value` settings in
@@ -307,6 +295,7 @@ mod manual;
 mod tests {
     use super::*;
     use crate::args::SensorModelArg;
+    use monogrid_mapping::MapQuality;
     use monogrid_mapping::{AutoLength, SensorModelKind};
 
     fn message(failure: &Failure) -> String {

@@ -11,6 +11,7 @@ mod common;
 mod commands {
     mod bad_input;
     mod batch;
+    mod layouts;
     mod map_tools;
     mod maps;
     mod sweep;

@@ -43,7 +43,9 @@ pub use frame::{
     CellReason, Floor, MIN_UP_CONFIDENCE, SceneCell, Upright, UprightView, camera_paths,
     floor_below, level_from_world, scene_cell, upright,
 };
-pub use maps::{LiveMaps, LiveView, MapReader, MapStats, Mapper, Maps, Waiting, navigation_band};
+pub use maps::{
+    LiveMaps, LiveView, LocalMap, MapReader, MapStats, Mapper, Maps, Waiting, navigation_band,
+};
 pub use monogrid_geometry::z_up_from_camera_world;
 pub use monogrid_occupancy::{AndertForm, IntegrationRule, SigmaMode, ThrunForm};
 pub use monogrid_slam::KeyframeCamera;

@@ -42,6 +42,7 @@
 pub mod clock;
 mod finished;
 mod listener;
+mod local;
 mod mapper;
 mod panics;
 mod pipeline;
@@ -55,6 +56,7 @@ mod waiting;
 
 pub use finished::{Cpu, Finished};
 pub use listener::{Listener, ListenerError, Run};
+pub use local::{LocalMapper, LocalView};
 pub use monogrid_inertial::{Imu, ImuNoise, ImuSample};
 pub use monogrid_slam::Event;
 pub use panics::{attempt, message_of};

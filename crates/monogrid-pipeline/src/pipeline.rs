@@ -14,7 +14,7 @@ use monogrid_geometry::{Camera, Sim3};
 use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
 use monogrid_inertial::{Imu, ImuSample};
 use monogrid_mapping::{
-    KeyframeCamera, LiveMaps, MapReader, Mapper, MappingConfig, z_up_from_camera_world,
+    KeyframeCamera, LiveMaps, MapQuality, MapReader, Mapper, MappingConfig, z_up_from_camera_world,
 };
 use monogrid_occupancy::{MapError, OccupancyMap};
 use monogrid_slam::{
@@ -79,6 +79,31 @@ impl Settings {
         let (mask, photometric) = (self.mask.as_ref(), self.photometric.clone());
         let prepared = Preparation::new(camera, self.working_size, mask, photometric);
         prepared.with_readout_ms(self.readout_ms)
+    }
+
+    /// The settings of a profile: `default`, `fast` (for small computers) or `thesis` (LSD-SLAM and
+    /// the mapping rules of the thesis); `None` for other names.
+    #[must_use]
+    pub fn of_profile(name: &str) -> Option<Self> {
+        let mut settings = Self::default();
+        match name {
+            "default" => {}
+            "fast" => {
+                settings.working_size = WorkingSize::Pixels(400 * 300);
+                settings.mapping.quality = MapQuality::Fast;
+                // in smaller images the start takes longer to be sure of; as many more of them fit
+                // in the same memory
+                settings.slam.initialization.max_buffered_frames *= 2;
+                // the second round moves points by hundredths of a pixel
+                settings.slam.sparse.final_rounds = 1;
+            }
+            "thesis" => {
+                settings.slam = SlamConfig::thesis();
+                settings.mapping = MappingConfig::thesis();
+            }
+            _ => return None,
+        }
+        Some(settings)
     }
 }
 
@@ -226,6 +251,12 @@ impl Pipeline {
     #[must_use]
     pub fn live_map_later(&self) -> Receiver<Result<MapReader, MapError>> {
         self.mapper.ask_for_reader()
+    }
+
+    /// What maps are built with.
+    #[must_use]
+    pub fn mapper(&self) -> &Mapper {
+        &self.empty
     }
 
     /// How images become working images.

@@ -138,6 +138,22 @@ impl From<Keyframe> for KeptKeyframe {
     }
 }
 
+/// The keyframe in use at one moment, seen from the newest frame: what is known of the surroundings
+/// of the camera without any correction of the map.
+#[derive(Clone, Debug)]
+pub struct KeyframeInUse {
+    /// Identity.
+    pub id: KeyframeId,
+    /// Its pose in the camera of the newest frame, as it was tracked; the scale is the keyframe's
+    /// unit of length.
+    pub camera_from_keyframe: Sim3,
+    /// Its semi-dense depth as it is now, row-major.
+    pub pixels: Vec<DepthPixel>,
+    /// How often odometry has gone on although nobody knows how the camera came where it is: what
+    /// lay around it before has another place now.
+    pub num_gaps: usize,
+}
+
 /// Poses of all keyframes at one revision.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PoseSnapshot {

@@ -54,8 +54,8 @@ pub use graph::{
 pub use ids::{FragmentId, KeyframeId, MAIN_MAP};
 pub use inertial_path::{InertialPath, SensedFrame};
 pub use keyframe::{
-    DepthPixel, KeptKeyframe, Keyframe, KeyframeCamera, PoseSnapshot, PoseSource, Scale,
-    TrackedFrame, TrajectoryPose,
+    DepthPixel, KeptKeyframe, Keyframe, KeyframeCamera, KeyframeInUse, PoseSnapshot, PoseSource,
+    Scale, TrackedFrame, TrajectoryPose,
 };
 pub use map::{Counts, Event};
 pub use report::{

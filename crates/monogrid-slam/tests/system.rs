@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps")]
 
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
-use monogrid_geometry::{Rng, Se3, Vec2, Vec3, rotation_exp};
+use monogrid_geometry::{Rng, Se3, Sim3, Vec2, Vec3, rotation_exp};
 use monogrid_image::{GrayImage, Mask, bilinear};
 use monogrid_slam::{
     DepthInput, DepthPixel, FrameInput, FrameReport, InitializationMode, KeptKeyframe, LostReason,
@@ -422,6 +422,55 @@ fn odometry_follows_the_camera_from_frame_to_frame() {
     assert!(difference.translation.norm() < 1e-9);
 }
 
+/// Forth and back without points, from a random start: the map drifts, and is corrected where the
+/// camera comes back to what it saw.
+#[test]
+fn what_is_around_the_camera_stays_where_it_is_when_the_map_is_corrected() {
+    let forth = (0..300).step_by(3);
+    let back = (0..300).step_by(3).rev().skip(1);
+    let inputs = forth.chain(back).enumerate().map(|(index, k)| FrameInput {
+        index,
+        timestamp_ns: 33_333_333 * index as i64,
+        image: demo().frame(k).unwrap().image,
+        depth: None,
+    });
+    let mut slam = system(SlamConfig::thesis(), 1);
+    let mut placed: Option<(u32, Se3, Sim3)> = None;
+    let mut last: Option<Se3> = None;
+    let (mut correction, mut shift, mut keyframes) = (0.0_f64, 0.0_f64, 0);
+    for input in inputs {
+        let report = slam.process_frame(input);
+        let poses = report.odom_from_camera.zip(report.map_from_odom());
+        let Some((odom_from_camera, map_from_odom)) = poses else {
+            continue;
+        };
+        let step = last.map(|last| last.inverse() * map_from_odom);
+        correction = correction.max(step.map_or(0.0, |step| step.translation.norm()));
+        last = Some(map_from_odom);
+        let now = slam.keyframe_in_use().unwrap();
+        assert!(now.num_gaps == 0 && !now.pixels.is_empty());
+        match placed {
+            // the camera moves by what was tracked alone, in the unit of now
+            Some((id, odom_from_last, last_from_keyframe)) if id == now.id => {
+                let unit = now.camera_from_keyframe.scale / last_from_keyframe.scale;
+                let last_from_keyframe = last_from_keyframe.to_se3().stretched(unit);
+                let keyframe_from_this = now.camera_from_keyframe.to_se3().inverse();
+                let tracked = last_from_keyframe * keyframe_from_this;
+                let moved = odom_from_last.inverse() * odom_from_camera;
+                shift = shift.max((moved.translation - tracked.translation).norm());
+            }
+            _ => keyframes += 1,
+        }
+        placed = Some((now.id, odom_from_camera, now.camera_from_keyframe));
+    }
+    assert!(keyframes > 5, "{keyframes}");
+    assert!(correction > 0.01, "nothing was corrected: {correction}");
+    assert!(
+        shift < 0.05 * correction,
+        "{shift} at a correction of {correction}"
+    );
+}
+
 /// After ten seconds the video jumps back to its beginning: to another keyframe than the last.
 #[test]
 fn a_kidnapped_camera_is_recognised_at_an_old_keyframe() {
@@ -453,7 +502,12 @@ fn a_kidnapped_camera_is_recognised_at_an_old_keyframe() {
             ..inputs[k].clone()
         });
     }
-    let (slam, reports) = run(SlamConfig::default(), 0, &inputs);
+    let mut slam = system(SlamConfig::default(), 0);
+    let frames = inputs.iter().cloned();
+    let reports: Vec<FrameReport> = frames.map(|frame| slam.process_frame(frame)).collect();
+    // nobody knows how the camera came here, and what is around it
+    assert_eq!(slam.keyframe_in_use().unwrap().num_gaps, 1);
+    slam.finish();
     assert_eq!(slam.counts().relocalisations, 1);
     assert!(
         reports[jump..]

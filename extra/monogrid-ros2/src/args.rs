@@ -3,6 +3,7 @@
 use crate::frames::mount;
 use crate::log::{LogForm, Severity};
 use clap::Parser;
+use monogrid_app::args::Profile;
 use monogrid_geometry::Se3;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
@@ -51,6 +52,9 @@ pub struct Args {
     /// Settings of tracking and mapping (TOML with [slam] and [mapping], as `config.toml` of a run)
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
+    /// The settings that --config changes [default: that of --config, else default]
+    #[arg(long, value_name = "PROFILE", value_enum)]
+    pub profile: Option<Profile>,
     /// Name of the node
     #[arg(long, value_name = "NAME", default_value = "monogrid")]
     pub name: String,

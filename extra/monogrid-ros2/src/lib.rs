@@ -2,9 +2,9 @@
 //!
 //! Three threads, which pass messages over bounded channels: that of the middleware ([`serve`])
 //! hands on what comes, the tracking thread ([`tracking`]) owns the pipeline and publishes poses,
-//! the thread of the maps ([`maps`]) publishes maps and diagnostics and writes files. What a
-//! message is made of stands in [`convert`], one function each; the frames of a robot in
-//! [`frames`].
+//! the thread of the maps ([`maps`]) publishes maps and diagnostics and writes files. One more maps
+//! what is around the robot ([`local`]), while somebody listens. What a message is made of stands
+//! in [`convert`], one function each; the frames of a robot in [`frames`].
 #![deny(missing_docs)]
 
 pub mod args;
@@ -13,6 +13,7 @@ pub mod convert;
 pub mod frames;
 pub mod levels;
 pub mod load;
+pub mod local;
 pub mod log;
 pub mod maps;
 pub mod node;

@@ -11,6 +11,7 @@ use monogrid_pipeline::Settings;
 use monogrid_ros2::args::Args;
 use monogrid_ros2::clock::Clock;
 use monogrid_ros2::load::Loaded;
+use monogrid_ros2::local::Local;
 use monogrid_ros2::log::{Log, LogForm, Severity};
 use monogrid_ros2::maps::Maps;
 use monogrid_ros2::node::{RosNode, connect};
@@ -95,6 +96,7 @@ fn run(args: Args) -> anyhow::Result<()> {
     let log = Arc::new(Log::new(&mut node, &args, Arc::clone(&clock))?);
     let publisher = PosePublisher::new(&mut node, &args.frames)?;
     let topics = MapTopics::new(&mut node, &args.frames.map_frame)?;
+    let local = Local::new(&mut node, &args)?;
     let inputs = Inputs::new(&mut node, &args)?;
 
     let map_from_world = settings.map_from_world;
@@ -105,7 +107,13 @@ fn run(args: Args) -> anyhow::Result<()> {
         camera,
         loaded,
     };
-    let tracking = Tracking::new(begin, &args, publisher, news_sender, Arc::clone(&log));
+    let tracking = Tracking::new(
+        begin,
+        &args,
+        (publisher, local),
+        news_sender,
+        Arc::clone(&log),
+    );
     let maps = Maps::new(args, map_from_world, topics, &counts, &log, &clock);
     let (stop, mut stopped) = mpsc::unbounded();
     let named = |name: &str| thread::Builder::new().name(name.to_owned());
@@ -148,7 +156,7 @@ fn say_beginning(log: &Log, args: &Args, loaded: Option<&Loaded>) {
 }
 
 fn settings(args: &Args) -> anyhow::Result<(RunConfig, Settings)> {
-    let config = RunConfig::resolve(None, args.config.as_deref(), &[]);
+    let config = RunConfig::resolve(args.profile, args.config.as_deref(), &[]);
     let config = config.map_err(|f| anyhow::Error::from_boxed(f.into_error()))?;
     let settings = Settings::default();
     let axes = args.frames.mount().rotation;

@@ -288,7 +288,8 @@ impl Maps {
             origin_over_base: self.args.frames.mount().translation.z - map_from_world.translation.z,
             path: &path,
         };
-        Shown::new(&view.global, &seen).map(Some)
+        let shown = Shown::new(&view.global, &seen)?;
+        Ok(Some(shown.with_large(&view.large, seen.metres_per_unit)))
     }
 
     /// Publishes the points of a keyframe in the map.

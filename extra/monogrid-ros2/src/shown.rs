@@ -4,6 +4,7 @@ use monogrid_geometry::Se3;
 use monogrid_mapping::navigation_band;
 use monogrid_messages::builtin_interfaces::Time;
 use monogrid_occupancy::{MapError, Occupancy, OccupancyMap, Projection};
+use std::sync::Arc;
 
 /// Sides of the grid are multiples of so many cells: a map that grows a little is sent as a change.
 const GRID_STEP: usize = 64;
@@ -38,6 +39,8 @@ pub struct Shown {
     pub camera: [f64; 3],
     /// Where it was: map_from_camera, m.
     pub path: Vec<(Time, Se3)>,
+    /// The map that has the poses of the time, in units, and metres of these.
+    large: Option<(Arc<OccupancyMap>, f64)>,
 }
 
 impl Shown {
@@ -56,8 +59,27 @@ impl Shown {
             band,
             camera: camera.map_or([0.0; 3], |(_, pose)| pose.translation.into()),
             path: seen.path.to_vec(),
+            large: None,
             map,
         })
+    }
+
+    /// The same with the map that has the poses of the time.
+    #[must_use]
+    pub fn with_large(mut self, large: &Arc<OccupancyMap>, metres_per_unit: f64) -> Self {
+        self.large = Some((Arc::clone(large), metres_per_unit));
+        self
+    }
+
+    /// The map that has the poses of the time, in metres; without one it is empty.
+    ///
+    /// # Errors
+    /// A scale that makes cells of no size.
+    pub fn large(&self) -> Result<OccupancyMap, MapError> {
+        match &self.large {
+            Some((large, metres_per_unit)) => large.rescaled(*metres_per_unit),
+            None => OccupancyMap::new(self.map.config().clone()),
+        }
     }
 }
 

@@ -95,6 +95,7 @@ pub struct MapTopics {
     grid_updates: Outlet<OccupancyGridUpdate>,
     octomap_binary: Whole<Octomap>,
     octomap_full: Whole<Octomap>,
+    large: Whole<Octomap>,
     cells: Whole<PointCloud2>,
     points: Outlet<PointCloud2>,
     path: Whole<Path>,
@@ -127,6 +128,7 @@ impl MapTopics {
             grid_updates: node.publisher("map_updates", parts)?,
             octomap_binary: Whole::new(node.publisher("octomap_binary", latched)?),
             octomap_full: Whole::new(node.publisher("octomap_full", latched)?),
+            large: Whole::new(node.publisher("large_octomap", latched)?),
             cells: Whole::new(node.publisher("octomap_point_cloud_centers", latched)?),
             points: node.publisher("points", parts)?,
             path: Whole::new(node.publisher("path", latched)?),
@@ -140,13 +142,14 @@ impl MapTopics {
         })
     }
 
-    fn forms(&mut self) -> [&mut dyn Sending; 5] {
+    fn forms(&mut self) -> [&mut dyn Sending; 6] {
         [
             &mut self.grid,
             &mut self.path,
             &mut self.octomap_binary,
             &mut self.cells,
             &mut self.octomap_full,
+            &mut self.large,
         ]
     }
 
@@ -163,6 +166,7 @@ impl MapTopics {
             || (self.number != number && self.grid_updates.is_heard())
             || self.octomap_binary.is_due(number)
             || self.octomap_full.is_due(number)
+            || self.large.is_due(number)
             || self.cells.is_due(number)
             || self.path.is_due(number)
     }
@@ -201,7 +205,7 @@ impl MapTopics {
             self.publish_grid(number, shown, grid);
         }
         let header = self.header(shown.stamp);
-        let mut windows = [None; 3];
+        let mut windows = [None; 4];
         for binary in [true, false] {
             let whole = match binary {
                 true => &mut self.octomap_binary,
@@ -218,6 +222,17 @@ impl MapTopics {
                 let bytes = tree.data.len();
                 whole.put(number, tree, bytes);
             }
+        }
+        if self.large.is_due(number) {
+            let (tree, window) = part_that_fits(
+                &shown.large()?,
+                shown.camera,
+                |map| octomap_of(header.clone(), map, true),
+                |tree| tree.data.len() <= MAX_BYTES,
+            )?;
+            windows[3] = window;
+            let bytes = tree.data.len();
+            self.large.put(number, tree, bytes);
         }
         if self.cells.is_due(number) {
             let (cells, window) = part_that_fits(

@@ -9,6 +9,7 @@ use crate::convert::{
 use crate::frames::{Frames, Poses, frame_of_map, map_from_camera};
 use crate::levels::LiveLevels;
 use crate::load::Loaded;
+use crate::local::Local;
 use crate::log::{Log, Severity};
 use crate::node::{Outlet, Quality, RosNode};
 use crate::wheels::{Scale, Wheels};
@@ -222,6 +223,9 @@ pub struct Tracking {
     next_world: u32,
     last_stamp: Option<Time>,
     publisher: PosePublisher,
+    local: Local,
+    /// Where odometry has the robot at the newest image.
+    odom_from_base: Option<Se3>,
     beside: Option<Beside>,
     base_from_camera: Se3,
     news: SyncSender<News>,
@@ -234,7 +238,7 @@ impl Tracking {
     pub fn new(
         begin: Beginning,
         args: &Args,
-        publisher: PosePublisher,
+        (publisher, local): (PosePublisher, Local),
         news: SyncSender<News>,
         log: Arc<Log>,
     ) -> Self {
@@ -274,6 +278,8 @@ impl Tracking {
             next_world: 0,
             last_stamp: None,
             publisher,
+            local,
+            odom_from_base: None,
             news,
             log,
         }
@@ -384,6 +390,7 @@ impl Tracking {
         (self.pipeline, self.maps) = (None, Arc::default());
         self.last_stamp = None;
         self.frames.begin_again();
+        self.local.begin_again();
         if let Some(beside) = &mut self.beside {
             beside.wheels.begin_again();
             beside.waiting.clear();
@@ -510,6 +517,7 @@ impl Tracking {
         }
         self.frames.map_from_world = self.frame_of_map();
         let poses = self.frames.advance(report);
+        self.odom_from_base = poses.map(|poses| poses.odom_from_base);
         let stamp = Time::from_nanoseconds(report.timestamp_ns);
         let is_metric = self.is_metric();
         poses.map_or(0, |poses| self.publisher.publish(stamp, &poses, is_metric))
@@ -525,6 +533,9 @@ impl Tracking {
         };
         let stamp = Time::from_nanoseconds(report.timestamp_ns);
         let unsent = unsent.unwrap_or_else(|| self.publish(&report));
+        if let Some(odom_from_base) = self.odom_from_base.take() {
+            self.map_around(report.timestamp_ns, &odom_from_base);
+        }
         let pipeline = self.pipeline.as_ref();
         let poses = pipeline.map(|p| p.slam().snapshot()).unwrap_or_default();
         if let (Some(beside), Some(world_from_camera), Some(keyframe)) =
@@ -574,7 +585,7 @@ impl Tracking {
 
     /// Compares images with the odometry of their time, where that is known now.
     fn settle(&mut self) {
-        let mut is_other = false;
+        let (mut is_other, mut newest) = (false, None);
         while let Some(beside) = &mut self.beside
             && let Some(image) = beside.waiting.pop_front()
         {
@@ -597,10 +608,28 @@ impl Tracking {
             let map_from_base = map_from_camera * self.base_from_camera.inverse();
             if let Some(beside) = &mut self.beside {
                 beside.map_from_odom = Some(map_from_base * odom_from_base.inverse());
+                // of an earlier one it is not known any more what was seen
+                newest = beside
+                    .waiting
+                    .is_empty()
+                    .then_some((image.time_ns, odom_from_base));
             }
+        }
+        if let Some((time_ns, odom_from_base)) = newest {
+            self.map_around(time_ns, &odom_from_base);
         }
         if is_other {
             self.tell(News::Scale(self.scale()));
+        }
+    }
+
+    /// Has what is around the newest image mapped.
+    fn map_around(&mut self, time_ns: i64, odom_from_base: &Se3) {
+        let odom_from_camera = *odom_from_base * self.base_from_camera;
+        let metres_per_unit = self.frame_of_map().scale;
+        if let Some(pipeline) = &self.pipeline {
+            let local = &mut self.local;
+            local.take(pipeline, time_ns, &odom_from_camera, metres_per_unit);
         }
     }
 

@@ -165,12 +165,13 @@ impl Loopback {
         assert!(self.node.is_running());
         // the mapper gives way to everybody else on a busy computer
         self.heard.wait_until("maps arrive", |heard| {
-            let trees = [&heard.binary, &heard.full];
+            let trees = [&heard.binary, &heard.full, &heard.large, &heard.local_tree];
             let is_there = trees.iter().all(|tree| tree.is_some()) && heard.cells.is_some();
             is_there && heard.grid.is_some() && heard.path.is_some() && heard.points > 0
         });
         self.heard.heard(|heard| {
             poses_are_those_of_a_robot(heard);
+            what_is_around_is_said_often(heard);
             messages_are_small(heard);
             assert_eq!(
                 heard.wrong,
@@ -206,6 +207,35 @@ impl Loopback {
             assert!(saved >= heard.odometry.len() / 2, "{saved} poses");
         });
     }
+}
+
+/// Five or six maps of what is around come in a second, in the frame of odometry.
+fn what_is_around_is_said_often(heard: &Heard) {
+    let maps = &heard.local_maps;
+    let stamps = || {
+        heard
+            .odometry
+            .iter()
+            .map(|(odometry, _)| odometry.header.stamp)
+    };
+    let [first, last] = [stamps().min(), stamps().max()].map(|stamp| stamp.unwrap().nanoseconds());
+    let rate = maps.len() as f64 / ((last - first) as f64 * 1e-9);
+    println!("{rate:.1} local maps in a second");
+    // on a busy computer some are passed over
+    assert!(rate > 2.0 && rate < 7.0, "{rate} local maps in a second");
+    let is_later = |pair: &[OccupancyGrid]| pair[0].header.stamp < pair[1].header.stamp;
+    assert!(maps.windows(2).all(is_later));
+    for map in maps {
+        assert_eq!(map.header.frame_id, "odom");
+    }
+    let last = maps.last().unwrap();
+    assert!(last.data.contains(&100), "no obstacle is around");
+    // within three units of the camera, in multiples of 64 cells
+    let side = |cells: u32| f64::from(cells) * f64::from(last.info.resolution);
+    let most = 6.0 + 2.0 * 64.0 * f64::from(last.info.resolution);
+    assert!(side(last.info.width) < most && side(last.info.height) < most);
+    assert_eq!(heard.local_tree.as_ref().unwrap().header.frame_id, "odom");
+    assert_eq!(heard.large.as_ref().unwrap().header.frame_id, "map");
 }
 
 /// Odometry never jumps; the transforms of an image are those of one tree.

@@ -36,10 +36,14 @@ pub(super) fn parse(
     Ok(draft)
 }
 
-/// EuRoC's `T_BS`: the sensor's pose in the body, 4x4 row-major.
+/// EuRoC's `T_BS`, the sensor's pose in the body, 4x4 row-major; Kalibr's `T_cam_imu` is the
+/// inverse, where the body is the inertial sensor.
 fn body_from_camera(document: &Document) -> Option<Se3> {
-    let matrix = document.list(&["t_bs"], Path::new("")).ok()?;
-    pose_from_matrix(&matrix.filter(|m| m.len() == 16)?)
+    let pose = |key: &str| {
+        let matrix = document.list(&[key], Path::new("")).ok()?;
+        pose_from_matrix(&matrix.filter(|m| m.len() == 16)?)
+    };
+    pose("t_bs").or_else(|| Some(pose("t_cam_imu")?.inverse()))
 }
 
 /// What EuRoC's `sensor.yaml` says of an inertial sensor: its pose in the body and its noise, as

@@ -52,12 +52,15 @@ fn parse_camera(
         return kitti;
     }
     let values = numbers(first.1).ok_or_else(|| unknown(path, first))?;
-    if let Some(pinhole) = intrinsic_matrix(lines) {
+    let (pinhole, format) = match (values.as_slice(), lines.len()) {
+        (&[fx, fy, cx, cy], 1) => (Some(Pinhole::new(fx, fy, cx, cy)), "fx fy cx cy"),
+        _ => (intrinsic_matrix(lines), "matrix of the intrinsics"),
+    };
+    if let Some(pinhole) = pinhole {
         let size = images.size.ok_or_else(|| {
-            let found = "a matrix of intrinsics without the size of the images";
+            let found = "intrinsics without the size of the images";
             DatasetError::content(path, found, "images beside it, to take the size from")
         })?;
-        let format = "matrix of the intrinsics";
         return Ok(Calibration::draft(size, pinhole, Distortion::None, format));
     }
     match (values.len(), lines.len()) {

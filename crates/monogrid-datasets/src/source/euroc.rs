@@ -1,4 +1,5 @@
-//! EuRoC MAV layout: `mav0/cam0/data.csv`, `sensor.yaml`, `state_groundtruth_estimate0`.
+//! EuRoC MAV layout: `mav0/cam0/data.csv`, `sensor.yaml`, `state_groundtruth_estimate0`; TUM-VI has
+//! `dso/camchain.yaml` and `mav0/mocap0` in their place.
 
 use super::{Dataset, Layout, Parts, SourceOptions, folder, note_unit};
 use crate::DatasetError;
@@ -7,8 +8,13 @@ use crate::text::{data_lines, read_text};
 use crate::timestamp::TimeUnit;
 use std::path::{Path, PathBuf};
 
+/// Opens a folder of this layout.
+pub(super) fn read(path: &Path, options: SourceOptions) -> Option<Result<Dataset, DatasetError>> {
+    find(path).map(|camera| open(path, &camera, options))
+}
+
 /// The folder of camera 0 that `path` contains, or is.
-pub(super) fn find(path: &Path) -> Option<PathBuf> {
+fn find(path: &Path) -> Option<PathBuf> {
     let has_data = |camera: &PathBuf| is_folder(&camera.join("data"));
     let has_list = |camera: &PathBuf| has_data(camera) && is_file(&camera.join("data.csv"));
     let below = [path.join("mav0/cam0"), path.join("cam0")];
@@ -21,11 +27,7 @@ pub(super) fn find(path: &Path) -> Option<PathBuf> {
 }
 
 /// Opens a camera's folder; without `data.csv` the names of its images are its times.
-pub(super) fn open(
-    path: &Path,
-    camera: &Path,
-    options: SourceOptions,
-) -> Result<Dataset, DatasetError> {
+fn open(path: &Path, camera: &Path, options: SourceOptions) -> Result<Dataset, DatasetError> {
     let list = camera.join("data.csv");
     let mut warnings = Vec::new();
     let entries = match is_file(&list) {
@@ -37,18 +39,24 @@ pub(super) fn open(
         return Err(DatasetError::no_frames(&list, found, expected));
     }
     let existing = |p: PathBuf| is_file(&p).then_some(p);
-    let truth = camera
-        .parent()
-        .map(|mav0| mav0.join("state_groundtruth_estimate0/data.csv"));
+    let mav0 = camera.parent().unwrap_or(camera);
+    let dso = mav0.parent().unwrap_or(mav0).join("dso");
+    let truths = ["state_groundtruth_estimate0", "mocap0"];
+    let truth = truths.map(|name| mav0.join(name).join("data.csv"));
+    let is_tum_vi = is_folder(&dso) || is_folder(&mav0.join("mocap0"));
     Dataset::assemble(
         Parts {
             root: path.to_path_buf(),
-            layout: Layout::Euroc,
+            layout: match is_tum_vi {
+                true => Layout::TumVi,
+                false => Layout::Euroc,
+            },
             is_at_rate: !is_file(&list),
             list,
             entries,
-            ground_truth: truth.and_then(existing),
-            calibration_path: existing(camera.join("sensor.yaml")),
+            ground_truth: truth.into_iter().find_map(existing),
+            calibration_path: existing(camera.join("sensor.yaml"))
+                .or_else(|| existing(dso.join("camchain.yaml"))),
             warnings,
             ..Parts::default()
         },

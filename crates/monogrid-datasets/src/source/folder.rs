@@ -160,7 +160,7 @@ fn find_images(root: &Path) -> Result<Images, DatasetError> {
 }
 
 /// Image files directly in a folder, in natural order.
-fn images_in(folder: &Path) -> Result<Vec<PathBuf>, DatasetError> {
+pub(super) fn images_in(folder: &Path) -> Result<Vec<PathBuf>, DatasetError> {
     let paths = paths_in(folder).map_err(|e| DatasetError::io("read", folder, e))?;
     let named = paths
         .into_iter()

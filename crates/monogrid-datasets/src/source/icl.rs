@@ -23,8 +23,13 @@ struct Pair {
     colour: (u32, PathBuf),
 }
 
+/// Opens a folder of this layout.
+pub(super) fn read(root: &Path, options: SourceOptions) -> Option<Result<Dataset, DatasetError>> {
+    list_of(root).map(|list| open(root, &list, options))
+}
+
 /// The list of a sequence in this layout: pairs of whole numbers and paths.
-pub(super) fn list_of(root: &Path) -> Option<PathBuf> {
+fn list_of(root: &Path) -> Option<PathBuf> {
     let list = root.join(LIST);
     let text = is_file(&list).then(|| read_text(&list).ok())??;
     let (_, first) = data_lines(&text).next()?;
@@ -32,11 +37,7 @@ pub(super) fn list_of(root: &Path) -> Option<PathBuf> {
 }
 
 /// Opens a sequence by its list; the rate is 30 Hz where nobody gave one.
-pub(super) fn open(
-    root: &Path,
-    list: &Path,
-    options: SourceOptions,
-) -> Result<Dataset, DatasetError> {
+fn open(root: &Path, list: &Path, options: SourceOptions) -> Result<Dataset, DatasetError> {
     let (text, fps) = (read_text(list)?, folder::rate(options, list)?);
     let (mut entries, mut depths) = (Vec::new(), Vec::new());
     for (number, line) in data_lines(&text) {

@@ -1,5 +1,5 @@
-//! Image sequences on disk: TUM layout, TUM monoVO, EuRoC, KITTI, 7-Scenes, ICL-NUIM, plain
-//! folders; each also as a zip or tar file.
+//! Image sequences on disk: TUM layout, ETH3D, TUM monoVO, EuRoC, TUM-VI, KITTI, 7-Scenes,
+//! ICL-NUIM, ScanNet, plain folders; each also as a zip or tar file.
 //!
 //! [`Dataset::open`] looks at what is there and returns a time-ordered list of frames with
 //! whatever belongs to them. Nothing is decoded here; see [`crate::read_gray`].
@@ -11,6 +11,7 @@ mod kinds;
 mod list;
 mod natural;
 mod reference;
+mod scannet;
 mod stereo;
 mod tum;
 
@@ -55,6 +56,12 @@ pub enum Layout {
     TumMonoVo,
     /// `mav0/cam0/data.csv`.
     Euroc,
+    /// The same with `dso/` or `mav0/mocap0/`.
+    TumVi,
+    /// As [`Self::Tum`], with `associated.txt`.
+    Eth3d,
+    /// `color/N.jpg`, `depth/N.png` and `pose/N.txt`.
+    ScanNet,
     /// `image_0` (or another camera) with `times.txt`.
     Kitti,
     /// `image_00/data` (or another camera) with `image_00/timestamps.txt`.
@@ -76,6 +83,9 @@ impl Layout {
             Self::Tum => "TUM RGB-D",
             Self::TumMonoVo => "TUM monoVO",
             Self::Euroc => "EuRoC",
+            Self::TumVi => "TUM-VI",
+            Self::Eth3d => "ETH3D",
+            Self::ScanNet => "ScanNet",
             Self::Kitti => "KITTI",
             Self::KittiRaw => "KITTI raw",
             Self::SevenScenes => "7-Scenes",
@@ -84,6 +94,13 @@ impl Layout {
         }
     }
 }
+
+/// Opens a folder of its layout; `None` where the folder is of another.
+type Reader = fn(&Path, SourceOptions) -> Option<Result<Dataset, DatasetError>>;
+
+/// Readers of layouts that a list or the names of folders show, in the order in which they are
+/// asked. A folder that none of them knows is one of images ([`folder::open`]).
+const READERS: [Reader; 4] = [euroc::read, tum::read, icl::read, scannet::read];
 
 /// What the user may say about a source.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -165,19 +182,8 @@ impl Dataset {
     }
 
     fn open_folder(path: &Path, options: SourceOptions) -> Result<Self, DatasetError> {
-        if let Some(camera) = euroc::find(path) {
-            return euroc::open(path, &camera, options);
-        }
-        for name in ["rgb.txt", "gray.txt"] {
-            let list = path.join(name);
-            if is_file(&list) {
-                return tum::open(path, &list, options);
-            }
-        }
-        if let Some(list) = icl::list_of(path) {
-            return icl::open(path, &list, options);
-        }
-        match folder::open(path, options) {
+        let opened = READERS.iter().find_map(|open| open(path, options));
+        match opened.unwrap_or_else(|| folder::open(path, options)) {
             // depth alone, with poses, can be mapped
             Err(DatasetError::NoFrames { .. }) if is_file(&path.join("depth.txt")) => {
                 tum::open_depth(path, options)
@@ -271,6 +277,9 @@ impl Dataset {
     /// When the file exists and cannot be understood.
     pub fn depth_calibration(&self) -> Result<Option<DepthCalibration>, DatasetError> {
         let path = self.depth_calibration_path.as_ref();
+        if let (Layout::ScanNet, None) = (self.layout, path) {
+            return scannet::depth_calibration(&self.root, &self.depths);
+        }
         path.map(|path| DepthCalibration::read(path)).transpose()
     }
 
@@ -331,7 +340,7 @@ impl Dataset {
             pose_files: parts.pose_files,
             options,
             depth_units_per_metre: match layout {
-                Layout::SevenScenes => 1000.0,
+                Layout::SevenScenes | Layout::ScanNet => 1000.0,
                 _ => TUM_UNITS_PER_METRE,
             },
             calibration_path: calibration

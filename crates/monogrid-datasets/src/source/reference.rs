@@ -9,10 +9,10 @@ use monogrid_geometry::Se3;
 impl Dataset {
     /// The reference trajectory, `None` when the source has none.
     ///
-    /// EuRoC's poses are those of the body and become those of camera 0 with the `T_BS` of its
-    /// `sensor.yaml`. KITTI's and those of 7-Scenes have no times and take those of the frames, and
-    /// so do those of ICL-NUIM. These are also mirrored, from a y axis that points up to one that
-    /// points down.
+    /// EuRoC's and TUM-VI's poses are those of the body and become those of camera 0 with the
+    /// `T_BS` of its `sensor.yaml`, or the `T_cam_imu` of its `camchain.yaml`. KITTI's and those of
+    /// 7-Scenes and ScanNet have no times and take those of the frames, and so do those of
+    /// ICL-NUIM. These are also mirrored, from a y axis that points up to one that points down.
     ///
     /// # Errors
     /// When the file, or EuRoC's calibration, cannot be understood.
@@ -38,7 +38,7 @@ impl Dataset {
                 folder::rate(self.options, path)?,
             )));
         }
-        if self.layout == Layout::Euroc {
+        if matches!(self.layout, Layout::Euroc | Layout::TumVi) {
             let body_from_camera = self
                 .calibration(None)?
                 .and_then(|c| c.body_from_camera)

@@ -7,6 +7,13 @@ use crate::text::{data_lines, first_word, read_text};
 use crate::timestamp::TimeUnit;
 use std::path::{Path, PathBuf};
 
+/// Opens a folder of this layout.
+pub(super) fn read(root: &Path, options: SourceOptions) -> Option<Result<Dataset, DatasetError>> {
+    let mut lists = ["rgb.txt", "gray.txt"].into_iter();
+    let list = lists.find_map(|name| Some(root.join(name)).filter(|list| is_file(list)))?;
+    Some(open(root, &list, options))
+}
+
 /// Opens the sequence of `root` whose images are listed in `list`.
 pub(super) fn open(
     root: &Path,
@@ -42,7 +49,10 @@ fn assemble(
     Dataset::assemble(
         Parts {
             root: root.to_path_buf(),
-            layout: Layout::Tum,
+            layout: match is_file(&root.join("associated.txt")) {
+                true => Layout::Eth3d,
+                false => Layout::Tum,
+            },
             list: list.to_path_buf(),
             entries,
             depths: depths.into_iter().map(depth).collect(),

@@ -2,7 +2,7 @@
 
 use super::images::gray;
 use monogrid_datasets::{
-    DEFAULT_FPS, Dataset, DatasetError, Layout, SourceOptions, encode_png, read_gray,
+    DEFAULT_FPS, Dataset, DatasetError, Layout, SourceOptions, encode_png, encode_png_16, read_gray,
 };
 use monogrid_geometry::{Camera, Distortion, Pinhole, Vec3};
 use monogrid_image::Image;
@@ -558,6 +558,133 @@ fn euroc_without_its_list_has_times_in_names() {
     image(&root.path().join("0000000002.png"));
     assert_eq!(open(root.path()).expect("opens").layout, Layout::Folder);
     assert_eq!(times(&open(root.path()).expect("opens"))[0], 0);
+}
+
+#[test]
+fn tum_vi_has_its_camera_and_its_poses_elsewhere() {
+    let root = folder();
+    let names = ["1520530308199447626", "1520530308249448626"];
+    let camera = root.path().join("mav0/cam0");
+    for name in names {
+        image(&camera.join(format!("data/{name}.png")));
+    }
+    let write = |name: &str, text: &str| {
+        let path = root.path().join(name);
+        fs::create_dir_all(path.parent().expect("a parent")).expect("writable");
+        fs::write(path, text).expect("writable");
+    };
+    let list: String = names.iter().map(|n| format!("{n},{n}.png\n")).collect();
+    write(
+        "mav0/cam0/data.csv",
+        &format!("#timestamp [ns],filename\n{list}"),
+    );
+    // the camera is 0.1 m ahead of the sensor
+    write(
+        "dso/camchain.yaml",
+        "cam0:\n  T_cam_imu:\n  - [1.0, 0.0, 0.0, 0.0]\n  - [0.0, 1.0, 0.0, 0.0]\n  - [0.0, 0.0, \
+         1.0, -0.1]\n  - [0.0, 0.0, 0.0, 1.0]\n  camera_model: pinhole\n  distortion_coeffs: \
+         [0.003, 0.0007, -0.002, 0.0002]\n  distortion_model: equidistant\n  intrinsics: [4.0, \
+         4.0, 3.5, 2.5]\n  resolution: [8, 6]\n",
+    );
+    let pose = format!(
+        "#timestamp [ns], px, py, pz, qw, qx, qy, qz\n{},1,2,3,1,0,0,0\n",
+        names[0]
+    );
+    write("mav0/mocap0/data.csv", &pose);
+    let dataset = open(root.path()).expect("opens");
+    assert_eq!(dataset.layout, Layout::TumVi);
+    assert_eq!(
+        times(&dataset),
+        names.map(|name| name.parse::<i64>().expect("a number"))
+    );
+    let calibration = dataset.calibration(None).expect("known").expect("there");
+    assert_eq!(calibration.camera.width, 8);
+    let poses = dataset.reference_trajectory();
+    let poses = poses.expect("readable").expect("there");
+    let place = poses[0].world_from_camera.translation;
+    assert!((place - Vec3::new(1.0, 2.0, 3.1)).norm() < 1e-12, "{place}");
+}
+
+#[test]
+fn eth3d_is_like_tum_with_a_camera_of_four_numbers() {
+    let root = folder();
+    let (mut lists, mut poses) = ([String::new(), String::new()], String::new());
+    for k in 0..3 {
+        for (list, kind) in lists.iter_mut().zip(["rgb", "depth"]) {
+            image(&root.path().join(format!("{kind}/5436.{k}00000.png")));
+            *list += &format!("5436.{k}00000 {kind}/5436.{k}00000.png\n");
+        }
+        poses += &format!("5436.{k}00000 {k} 0 0 0 0 0 1\n");
+    }
+    for (name, text) in [
+        ("rgb.txt", &lists[0]),
+        ("depth.txt", &lists[1]),
+        ("associated.txt", &lists[0]),
+        ("groundtruth.txt", &poses),
+        (
+            "calibration.txt",
+            &"726.28 726.28 354.65 186.46\n".to_owned(),
+        ),
+    ] {
+        fs::write(root.path().join(name), text).expect("writable");
+    }
+    let dataset = open(root.path()).expect("opens");
+    assert_eq!(
+        (dataset.layout, dataset.layout.name()),
+        (Layout::Eth3d, "ETH3D")
+    );
+    assert_eq!((dataset.frames.len(), dataset.depths.len()), (3, 3));
+    let calibration = dataset.calibration(Some((739, 458)));
+    let calibration = calibration.expect("known").expect("there");
+    assert_eq!(calibration.camera.pinhole.cx, 354.65);
+    let units = dataset.registered_depth(calibration.camera).units_per_metre;
+    assert_eq!(units, 5000.0);
+    let poses = dataset.reference_trajectory();
+    assert_eq!(poses.expect("readable").expect("there").len(), 3);
+}
+
+#[test]
+fn scannet_has_a_folder_for_each_kind_and_a_camera_for_depth() {
+    let root = folder();
+    let write = |name: &str, text: &str| {
+        let path = root.path().join(name);
+        fs::create_dir_all(path.parent().expect("a parent")).expect("writable");
+        fs::write(path, text).expect("writable");
+    };
+    for k in 0..12 {
+        image(&root.path().join(format!("color/{k}.png")));
+        write(
+            &format!("pose/{k}.txt"),
+            &format!("1 0 0 {k}\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"),
+        );
+        let depth = Image::filled(4, 3, 1500_u16);
+        fs::create_dir_all(root.path().join("depth")).expect("writable");
+        let depth = encode_png_16(&depth);
+        fs::write(root.path().join(format!("depth/{k}.png")), depth).expect("writable");
+    }
+    // tracking failed in one
+    write("pose/1.txt", &"-inf -inf -inf -inf\n".repeat(4));
+    let matrix = |f: f64| format!("{f} 0 3.5 0\n0 {f} 2.5 0\n0 0 1 0\n0 0 0 1\n");
+    write("intrinsic/intrinsic_color.txt", &matrix(9.0));
+    write("intrinsic/intrinsic_depth.txt", &matrix(5.0));
+    let dataset = open(root.path()).expect("opens");
+    assert_eq!(dataset.layout, Layout::ScanNet);
+    // in the order of their numbers
+    assert_eq!(names(&dataset)[2], "2.png");
+    let depths: Vec<i64> = dataset.depths.iter().map(|d| d.timestamp_ns).collect();
+    assert_eq!(depths, times(&dataset));
+    let poses = dataset.reference_trajectory();
+    let poses = poses.expect("readable").expect("there");
+    assert_eq!(poses.len(), 11);
+    assert_eq!(poses[1].world_from_camera.translation.x, 2.0);
+    let camera = dataset
+        .calibration(Some((8, 6)))
+        .expect("known")
+        .expect("there");
+    assert_eq!(camera.camera.pinhole.fx, 9.0);
+    let depth = dataset.depth_calibration().expect("known").expect("there");
+    assert_eq!((depth.camera.width, depth.camera.pinhole.fx), (4, 5.0));
+    assert_eq!(depth.units_per_metre, 1000.0);
 }
 
 #[test]

@@ -39,17 +39,6 @@ pub struct LiveView {
     pub large: Arc<OccupancyMap>,
     /// The frame of the maps.
     pub map_from_world: Sim3,
-    local_radius: f64,
-}
-
-impl LiveView {
-    /// The part of *global* around a camera.
-    ///
-    /// # Errors
-    /// A map that would exceed its memory.
-    pub fn local(&self, camera_in_map: Vec3) -> Result<OccupancyMap, MapError> {
-        self.global.within(camera_in_map.into(), self.local_radius)
-    }
 }
 
 /// Gives other threads the newest maps of a run. Copies give the same.
@@ -357,7 +346,6 @@ impl LiveMaps {
                 global: self.global.map.share(),
                 large: Arc::clone(&self.large),
                 map_from_world: self.map_from_world,
-                local_radius: self.mapper.config().local_radius,
             });
         }
     }

@@ -3,10 +3,12 @@
 mod band;
 mod global;
 mod live;
+mod local;
 mod mapper;
 #[cfg(test)]
 mod tests;
 
 pub use band::navigation_band;
 pub use live::{LiveMaps, LiveView, MapReader, Maps, Waiting};
+pub use local::LocalMap;
 pub use mapper::{MapStats, Mapper};

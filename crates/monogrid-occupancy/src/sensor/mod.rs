@@ -366,7 +366,7 @@ impl SensorModel {
     }
 }
 
-/// Thesis eq. 5.1: certain inside the band, unknown behind it.
+/// Thesis eq. 5.2.1: certain inside the band, unknown behind it.
 fn ideal(behind: f64, length: f64) -> f64 {
     if behind < -0.5 * length {
         0.0

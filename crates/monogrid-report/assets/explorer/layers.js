@@ -133,7 +133,7 @@ export function cubesLayer(cubes, shared) {
         // lit from above and from one side
         float light = corner.w < 1.5 ? 0.80 : corner.w < 3.5 ? 0.64 : corner.w < 4.5 ? 0.5 : 1.0;
         tint = colourOf(centre) * light;
-        gl_Position = projectionMatrix * viewMatrix * vec4(centre + (corner.xyz - 0.5) * edge, 1.0);
+        gl_Position = projectionMatrix * modelViewMatrix * vec4(centre + (corner.xyz - 0.5) * edge, 1.0);
       }`,
   });
   const dots = new ShaderMaterial({
@@ -146,7 +146,7 @@ export function cubesLayer(cubes, shared) {
         vec3 centre = centreOf(edge);
         if (!isShown(centre)) { ${OUTSIDE} return; }
         tint = colourOf(centre) * 0.85;
-        gl_Position = projectionMatrix * viewMatrix * vec4(centre, 1.0);
+        gl_Position = projectionMatrix * modelViewMatrix * vec4(centre, 1.0);
         gl_PointSize = max(1.0, 1.2 * growth * edge * pixelsPerUnit / gl_Position.w);
       }`,
   });

@@ -8,6 +8,8 @@ import { KeyframeView } from 'explorer/keyframe';
 import { View } from 'explorer/view';
 
 const ASK_EVERY_MS = 300;
+// while somebody looks at what is around the camera
+const ASK_OFTEN_MS = 150;
 // a busy server may leave a question unanswered; after so many in a row there is none
 const MAX_UNANSWERED = 5;
 const byId = (id) => document.getElementById(id);
@@ -40,9 +42,13 @@ class Live {
 
   // Groups whose content is replaced, with their switches.
   build() {
-    this.groups = { cells: new Group(), cloud: new Group(), path: new Group(), camera: new Group() };
+    const [cells, large, local] = [new Group(), new Group(), new Group()];
+    this.groups = { cells, 'large map': large, 'local map': local, cloud: new Group(), path: new Group(), camera: new Group() };
     this.view?.scene.add(...Object.values(this.groups));
-    this.groups.cells.visible = false;
+    // in the order of the bits of a question
+    this.asked = [cells, large, local];
+    for (const group of this.asked) group.visible = false;
+    local.matrixAutoUpdate = false;
     for (const [name, group] of Object.entries(this.groups)) {
       const box = document.createElement('input');
       box.type = 'checkbox';
@@ -64,7 +70,8 @@ class Live {
     let news;
     try {
       // relative: the address of the page holds a token
-      const answer = await fetch(`live/${this.version}/${this.path.length}/${this.groups.cells.visible ? 1 : 0}`);
+      const wanted = this.asked.reduce((bits, group, bit) => bits + (group.visible ? 1 << bit : 0), 0);
+      const answer = await fetch(`live/${this.version}/${this.path.length}/${wanted}`);
       news = await answer.json();
       this.unanswered = 0;
     } catch {
@@ -78,7 +85,7 @@ class Live {
 
   goOn(hasEnded) {
     if (hasEnded) byId('live-state').textContent = 'Tracking has ended: report.html shows the result as soon as the final maps are done.';
-    else setTimeout(() => this.ask(), ASK_EVERY_MS);
+    else setTimeout(() => this.ask(), this.groups['local map'].visible ? ASK_OFTEN_MS : ASK_EVERY_MS);
   }
 
   take(news) {
@@ -118,7 +125,13 @@ class Live {
       layer.visible = Boolean(posed);
       if (posed) layer.matrix.copy(matrixOf(posed.pose, posed.unit));
     }
-    if (news.cells) this.replace('cells', news.cells.count[0] ? [cubesLayer(new Cubes(news.cells.occupied, news.cells), this.view.shared).exact] : []);
+    if (news.cells) this.replace('cells', this.cubes(news.cells));
+    if (news.large) this.replace('large map', this.cubes(news.large));
+    if (news.local) {
+      // it is smooth by odometry, and shown where the map has the camera
+      this.replace('local map', this.cubes(news.local.cells));
+      if (news.local.pose) this.groups['local map'].matrix.copy(matrixOf(news.local.pose, 1));
+    }
     if (news.path.length && this.path.length > 1) this.replace('path', [lineLayer(this.path.map((p) => p.slice(1)), isDark() ? 0xf0f0f0 : 0x151515)]);
     if (this.isFollowing) this.follow();
     const size = this.view.radius;
@@ -127,6 +140,10 @@ class Live {
       this.replace('camera', [frustaLayer([here], news.camera, 0.08 * size, 0xff00aa), markAt([3, 7, 11].map((i) => here.pose[i]), 0.02 * size, 0xff00aa)]);
     }
     this.view.draw();
+  }
+
+  cubes(cells) {
+    return cells.count[0] ? [cubesLayer(new Cubes(cells.occupied, cells), this.view.shared).exact] : [];
   }
 
   replace(name, layers) {

@@ -161,13 +161,12 @@ pub(super) fn finish_keyframe(
     }
 }
 
-/// Depth of a keyframe as everybody should have it; `None` where what they have is as good.
-fn publish(
+/// Depth of a keyframe as everybody should have it.
+pub(super) fn public_pixels(
     setup: &Setup,
-    store: &Store,
     keyframe: &MapKeyframe,
     depth: &DepthMap,
-) -> Option<KeptKeyframe> {
+) -> Vec<DepthPixel> {
     let publication = &setup.config.publication;
     let filter = PixelFilter {
         min_validity: publication.min_validity,
@@ -192,6 +191,17 @@ fn publish(
         let unit = keyframe.world_from_keyframe.scale as f32;
         add_measured(&mut pixels, &measured, unit);
     }
+    pixels
+}
+
+/// Depth of a keyframe for everybody; `None` where what they have is as good.
+fn publish(
+    setup: &Setup,
+    store: &Store,
+    keyframe: &MapKeyframe,
+    depth: &DepthMap,
+) -> Option<KeptKeyframe> {
+    let mut pixels = public_pixels(setup, keyframe, depth);
     pixels.shrink_to_fit();
     let revision = match &keyframe.published {
         Some(known) => {

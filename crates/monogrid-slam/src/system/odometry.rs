@@ -17,6 +17,8 @@ pub(super) struct Odometry {
     odom_from_camera: Option<Se3>,
     /// The last frame with a believed pose.
     last: Option<Record>,
+    /// How often it went on although nobody knows how the camera came there.
+    pub(super) num_gaps: usize,
 }
 
 impl Odometry {
@@ -31,13 +33,13 @@ impl Odometry {
         let odom_from_camera = match (self.odom_from_camera, step) {
             (Some(odom_from_last), Some(last_from_this)) => odom_from_last * last_from_this,
             // How the camera came here while it was lost is not known.
-            (Some(odom_from_last), None) => odom_from_last,
+            (Some(odom_from_last), None) => {
+                self.num_gaps += 1;
+                odom_from_last
+            }
             (None, _) => world_from_camera,
         };
-        *self = Self {
-            odom_from_camera: Some(odom_from_camera),
-            last: this,
-        };
+        (self.odom_from_camera, self.last) = (Some(odom_from_camera), this);
         Some(odom_from_camera)
     }
 }

@@ -2,7 +2,7 @@
 
 use super::constrain::GraphLink;
 use super::depth::DepthStage;
-use super::keyframes::KeyframePolicy;
+use super::keyframes::{KeyframePolicy, public_pixels};
 use super::lost::LossRecovery;
 use super::odometry::Odometry;
 use super::sessions::{restored, stored, stored_edges, stored_link, stored_points};
@@ -17,9 +17,9 @@ use crate::store::SpillError;
 use crate::store::Store;
 use crate::stored::{ContinueError, Purpose, StoredEdge, StoredLink, StoredMap, StoredPoint};
 use crate::{
-    Bridge, Fragment, FragmentId, InertialPath, KeptKeyframe, KeyframeCamera, KeyframeId, MAIN_MAP,
-    MapSize, MemoryConfig, PoseSnapshot, Scale, SlamConfig, SlamError, TrackedFrame,
-    TrajectoryPose,
+    Bridge, Fragment, FragmentId, InertialPath, KeptKeyframe, KeyframeCamera, KeyframeId,
+    KeyframeInUse, MAIN_MAP, MapSize, MemoryConfig, PoseSnapshot, Scale, SlamConfig, SlamError,
+    TrackedFrame, TrajectoryPose,
 };
 use monogrid_geometry::{Mat7, Pinhole};
 use monogrid_graph::RobustKernel;
@@ -219,6 +219,23 @@ impl Slam {
     #[must_use]
     pub fn keyframes(&self) -> Vec<KeptKeyframe> {
         self.map.published().collect()
+    }
+
+    /// The keyframe of the main map on which the newest frame was tracked; `None` where that has no
+    /// pose there.
+    #[must_use]
+    pub fn keyframe_in_use(&self) -> Option<KeyframeInUse> {
+        let (active, last) = (self.tracker.active.as_ref()?, self.tracker.last.as_ref()?);
+        let (keyframe, depth) = (&self.map[active.id], self.depth.get()?);
+        let is_here = self.recovery.lost_in_a_row() == 0 && keyframe.fragment == MAIN_MAP;
+        let unit = keyframe.world_from_keyframe.scale;
+        let pose = last.motion.frame_from_keyframe.stretched(unit);
+        is_here.then(|| KeyframeInUse {
+            id: active.id,
+            camera_from_keyframe: pose.with_scale(unit),
+            pixels: public_pixels(&self.setup, keyframe, depth),
+            num_gaps: self.odometry.num_gaps,
+        })
     }
 
     /// The number of finished keyframes.

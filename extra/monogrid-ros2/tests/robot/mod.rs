@@ -122,6 +122,10 @@ pub struct Heard {
     /// The last grid that was sent as a whole, and how the one before had become by changes.
     pub whole_grid: Option<(OccupancyGrid, Option<OccupancyGrid>)>,
     pub updates: usize,
+    /// What was around, one after the other.
+    pub local_maps: Vec<OccupancyGrid>,
+    pub local_tree: Option<Octomap>,
+    pub large: Option<Octomap>,
     pub binary: Option<Octomap>,
     pub full: Option<Octomap>,
     /// How many came of the last one.
@@ -322,6 +326,15 @@ fn listen(domain: u16, heard: &std::sync::Mutex<Heard>, stop: &AtomicBool) {
     let updates = node
         .subscription::<OccupancyGridUpdate>("map_updates", Quality::Stream)
         .unwrap();
+    let local_map = node
+        .subscription::<OccupancyGrid>("local_map", Quality::Stream)
+        .unwrap();
+    let local_tree = node
+        .subscription::<Octomap>("local_octomap", Quality::Stream)
+        .unwrap();
+    let large = node
+        .subscription::<Octomap>("large_octomap", Quality::Latched)
+        .unwrap();
     let binary = node
         .subscription::<Octomap>("octomap_binary", Quality::Latched)
         .unwrap();
@@ -357,6 +370,9 @@ fn listen(domain: u16, heard: &std::sync::Mutex<Heard>, stop: &AtomicBool) {
             .iter()
             .for_each(|update| heard.take_update(update));
         heard.points += all(&points).len();
+        heard.local_maps.extend(all(&local_map));
+        heard.local_tree = all(&local_tree).pop().or(heard.local_tree.take());
+        heard.large = all(&large).pop().or(heard.large.take());
         heard.binary = all(&binary).pop().or(heard.binary.take());
         let mut trees = all(&full);
         heard.trees += trees.len();

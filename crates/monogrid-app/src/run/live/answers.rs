@@ -1,6 +1,6 @@
 //! What the browser is told when it asks.
 
-use super::{Known, Live, SeenFrame, lock};
+use super::{Known, Live, SeenFrame, Wanted, lock};
 use monogrid_geometry::{Pinhole, Sim3};
 use monogrid_mapping::{KeyframeCamera, z_up_from_camera_world};
 use monogrid_report::explorer::{
@@ -43,6 +43,18 @@ struct News {
     /// changed.
     poses: Vec<(u32, f64, [f64; 12])>,
     cells: Option<Cells>,
+    /// Cells of the map that has the poses of the time.
+    large: Option<Cells>,
+    /// What is around the camera by odometry.
+    local: Option<LocalNews>,
+}
+
+/// The map around the camera.
+#[derive(Serialize)]
+struct LocalNews {
+    cells: Cells,
+    /// Where odometry begins in the map, by the newest frame.
+    pose: Option<[f64; 12]>,
 }
 
 #[derive(Serialize)]
@@ -70,7 +82,10 @@ pub struct Shown {
     live: Arc<Live>,
     pinhole: Pinhole,
     camera: Camera,
-    cells_sent: Mutex<Option<Instant>>,
+    /// When cells of the global and of the large map were sent last.
+    cells_sent: Mutex<[Option<Instant>; 2]>,
+    /// Time of the image of the local map that was sent last, ns.
+    local_sent: Mutex<Option<i64>>,
 }
 
 impl Shown {
@@ -81,24 +96,27 @@ impl Shown {
             pinhole: *camera.0,
             camera: Camera::new(camera.0, camera.1),
             cells_sent: Mutex::default(),
+            local_sent: Mutex::default(),
         }
     }
 
     /// The answer to `/live/VERSION/PATH/CELLS`: what has changed since a version, the path from a
-    /// position on, and, where CELLS is 1, the cells.
+    /// position on, and the cells that CELLS asks for ([`Wanted`]).
     pub fn answer(&self, path: &str) -> Option<Answer> {
         let (since, rest) = path.strip_prefix("/live/")?.split_once('/')?;
         let (from, cells) = rest.split_once('/')?;
         let (since, from): (u64, usize) = (since.parse().ok()?, from.parse().ok()?);
-        let wants_cells = cells == "1";
-        self.live.note_question(wants_cells);
+        let wanted = Wanted::parse(cells)?;
+        self.live.note_question(wanted);
         fault::pass("viewer");
         // before what is known is taken: what is told is then all
         let has_ended = self.live.has_ended.load(Ordering::Relaxed);
         // references are taken while it is locked, work is done afterwards
         let known = lock(&self.live.known).clone();
         let mut news = self.news(&known, (since, from), has_ended);
-        news.cells = wants_cells.then(|| self.cells()).flatten();
+        news.cells = wanted.global.then(|| self.cells(0)).flatten();
+        news.large = wanted.large.then(|| self.cells(1)).flatten();
+        news.local = wanted.local.then(|| self.local(&known)).flatten();
         let json = serde_json::to_vec(&news).ok()?;
         Some(Answer::json(json))
     }
@@ -128,6 +146,8 @@ impl Shown {
                 false => Vec::new(),
             },
             cells: None,
+            large: None,
+            local: None,
         }
     }
 
@@ -149,15 +169,31 @@ impl Shown {
         }
     }
 
-    /// The cells of the global map, now and then.
-    fn cells(&self) -> Option<Cells> {
+    /// The cells of the global map (0) or the large one (1), now and then.
+    fn cells(&self, which: usize) -> Option<Cells> {
         let mut sent = lock(&self.cells_sent);
-        if sent.is_some_and(|sent| sent.elapsed() < CELLS_EVERY) {
+        if sent[which].is_some_and(|sent| sent.elapsed() < CELLS_EVERY) {
             return None;
         }
-        let cells = Cells::new(&self.live.latest_map()?.global, None).ok();
-        *sent = Some(Instant::now());
+        let view = self.live.latest_map()?;
+        let cells = Cells::new([&view.global, &view.large][which], None).ok();
+        sent[which] = Some(Instant::now());
         cells
+    }
+
+    /// The map around the camera, where there is a newer one than was sent.
+    fn local(&self, known: &Known) -> Option<LocalNews> {
+        let view = lock(&self.live.local).clone()?;
+        let mut sent = lock(&self.local_sent);
+        if *sent == Some(view.timestamp_ns) {
+            return None;
+        }
+        *sent = Some(view.timestamp_ns);
+        let pose = known.frame.as_ref()?.map_from_local;
+        Some(LocalNews {
+            cells: Cells::new(&view.map, None).ok()?,
+            pose: pose.as_ref().map(Keyframe::rows),
+        })
     }
 }
 
@@ -288,6 +324,9 @@ mod tests {
         sender.send(Ok(MapReader::default())).unwrap();
         shown.live.follow_map(|| panic!("it was asked for already"));
         assert!(is_open());
+        assert!(!shown.live.is_local_wanted());
+        ask(&shown, "/live/0/0/4");
+        assert!(shown.live.is_local_wanted());
         lock(&shown.live.asked).cells = None;
         shown.live.follow_map(|| panic!("nobody looks any more"));
         assert!(!is_open());
@@ -316,6 +355,7 @@ mod tests {
             "/live/1/0",
             "/live/a/0/0",
             "/live/-1/0/0",
+            "/live/0/0/8",
             "/etc/passwd",
         ] {
             assert!(shown.answer(path).is_none(), "{path}");

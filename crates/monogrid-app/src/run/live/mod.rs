@@ -18,10 +18,10 @@ use monogrid_geometry::{Pinhole, Se3, Sim3};
 use monogrid_image::GrayImage;
 use monogrid_mapping::{LiveView, MapReader, z_up_from_camera_world};
 use monogrid_occupancy::MapError;
-use monogrid_pipeline::{Event, Listener, ListenerError, Pipeline};
+use monogrid_pipeline::{Event, Listener, ListenerError, LocalMapper, LocalView, Pipeline};
 use monogrid_report::Page;
 use monogrid_report::explorer::{Answer, LIVE_POLICY, PathPoint, Server, Serving, live_section};
-use monogrid_slam::{KeptKeyframe, KeyframeId, PoseSnapshot};
+use monogrid_slam::{FrameReport, KeptKeyframe, KeyframeId, PoseSnapshot};
 use rerun::Rerun;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -55,7 +55,29 @@ struct SeenFrame {
     state: &'static str,
     reason: Option<String>,
     map_from_camera: Option<Sim3>,
+    /// Where odometry begins in the map.
+    map_from_local: Option<Sim3>,
     image: Option<Arc<GrayImage>>,
+}
+
+/// The cells that a browser asks for, as bits: 1 those of the global map, 2 of the large one, 4
+/// what is around the camera.
+#[derive(Clone, Copy, Debug, Default)]
+struct Wanted {
+    global: bool,
+    large: bool,
+    local: bool,
+}
+
+impl Wanted {
+    fn parse(text: &str) -> Option<Self> {
+        let bits = text.parse::<u8>().ok().filter(|bits| *bits < 8)?;
+        Some(Self {
+            global: bits & 1 != 0,
+            large: bits & 2 != 0,
+            local: bits & 4 != 0,
+        })
+    }
 }
 
 /// When a browser asked last.
@@ -63,8 +85,10 @@ struct SeenFrame {
 struct Asked {
     /// For anything.
     news: Option<Instant>,
-    /// For cells.
+    /// For cells of the global map or the large one.
     cells: Option<Instant>,
+    /// For what is around the camera.
+    local: Option<Instant>,
 }
 
 /// The map that grows, which costs time as long as somebody holds it.
@@ -84,6 +108,8 @@ pub struct Live {
     known: Mutex<Known>,
     asked: Mutex<Asked>,
     map: Mutex<Map>,
+    /// The newest map around the camera, while a browser looks at it.
+    local: Mutex<Option<Arc<LocalView>>>,
     begin: Instant,
     total: usize,
     /// Whether there are no more frames.
@@ -105,20 +131,29 @@ impl Live {
             known: Mutex::default(),
             asked: Mutex::default(),
             map: Mutex::default(),
+            local: Mutex::default(),
             begin: Instant::now(),
             total,
             has_ended: AtomicBool::new(false),
         }
     }
 
-    /// Notes that a browser asks, and whether for cells.
-    fn note_question(&self, wants_cells: bool) {
+    /// Notes that a browser asks, and for which cells.
+    fn note_question(&self, wanted: Wanted) {
         let now = Some(Instant::now());
         let mut asked = lock(&self.asked);
         asked.news = now;
-        if wants_cells {
+        if wanted.global || wanted.large {
             asked.cells = now;
         }
+        if wanted.local {
+            asked.local = now;
+        }
+    }
+
+    /// Whether a browser looks at what is around the camera.
+    fn is_local_wanted(&self) -> bool {
+        is_recent(lock(&self.asked).local)
     }
 
     /// The map, where it is open.
@@ -152,6 +187,8 @@ impl Live {
         let report = row.report();
         let pose = report.and_then(|report| report.world_from_camera);
         let map_from_camera = pose.map(|pose: Se3| z_up * pose.with_scale(1.0));
+        let correction = report.and_then(FrameReport::map_from_odom);
+        let map_from_local = correction.map(|pose| z_up * pose.with_scale(1.0) * z_up.inverse());
         let mut known = lock(&self.known);
         known.num_frames += 1;
         if let Some(pose) = map_from_camera {
@@ -164,6 +201,7 @@ impl Live {
             state: report.map_or("no image", |report| report.state.name()),
             reason: report.and_then(|report| Some(report.reason?.to_string())),
             map_from_camera,
+            map_from_local,
             image: image.or_else(|| before?.image),
         });
     }
@@ -216,6 +254,8 @@ pub struct Viewer {
     /// When there were no more frames.
     ended: Option<Instant>,
     last_image: Option<Instant>,
+    /// While a browser looks at what is around the camera.
+    local: Option<LocalMapper>,
 }
 
 impl Viewer {
@@ -247,6 +287,7 @@ impl Viewer {
             rerun: None,
             ended: None,
             last_image: None,
+            local: None,
         };
         match view {
             View::Browser(address) if address.ip().is_loopback() => {
@@ -275,9 +316,33 @@ impl Viewer {
     }
 
     /// Shows what became of a frame.
-    pub fn show(&self, row: &FrameRow, image: Option<Arc<GrayImage>>, pipeline: &Pipeline) {
+    pub fn show(&mut self, row: &FrameRow, image: Option<Arc<GrayImage>>, pipeline: &Pipeline) {
         self.live.take(row, image);
         self.live.follow_map(|| pipeline.live_map_later());
+        self.map_around(row, pipeline);
+    }
+
+    /// Has what is around the camera mapped as long as a browser looks at it.
+    fn map_around(&mut self, row: &FrameRow, pipeline: &Pipeline) {
+        if !self.live.is_local_wanted() {
+            self.local = None;
+            return;
+        }
+        let slam = pipeline.slam();
+        if self.local.is_none() {
+            let live = Arc::clone(&self.live);
+            // a map that is too large is not shown
+            let shown = move |view: Result<LocalView, MapError>| {
+                *lock(&live.local) = view.ok().map(Arc::new);
+            };
+            // without a thread for it there is none
+            self.local = LocalMapper::start(pipeline.mapper().clone(), slam.camera(), shown).ok();
+        }
+        let odom_from_camera = row.report().and_then(|report| report.odom_from_camera);
+        if let (Some(local), Some(odom_from_camera)) = (&mut self.local, odom_from_camera) {
+            let local_from_camera = z_up_from_camera_world().to_se3() * odom_from_camera;
+            local.offer(slam, row.timestamp_ns, &local_from_camera);
+        }
     }
 
     /// Tells those who ask that there are no more frames; they take the last news while results are
@@ -287,6 +352,7 @@ impl Viewer {
         self.ended.get_or_insert_with(Instant::now);
         // the final maps need its memory
         *lock(&self.live.map) = Map::Closed;
+        self.local = None;
     }
 
     /// Ends the server, after everything is written, and within a time whatever viewers do.

@@ -133,7 +133,7 @@ impl<'a> Tracking<'a> {
         if let Some(colours) = self.colours {
             self.keep_colours(colours, rectification, &row);
         }
-        if let Some(viewer) = &self.viewer {
+        if let Some(viewer) = &mut self.viewer {
             viewer.show(&row, shown, &self.pipeline);
         }
         self.early_end = self.count_unreadable(&row.fate);
