@@ -70,20 +70,7 @@ fn failed(line: &str, code: u8) -> ExitCode {
 }
 
 fn run(args: Args) -> anyhow::Result<()> {
-    let calibration = args.calibration.as_deref();
-    let calibration = calibration.map(|path| Calibration::read(path, None));
-    let calibration = calibration.transpose()?;
-    let told_ms = calibration.as_ref().and_then(|known| known.readout_ms);
-    let readout_ms = args.rolling_shutter.or(told_ms).unwrap_or(0.0);
-    let camera = match calibration {
-        Some(calibration) => Ok(calibration.camera),
-        None => Err(format!("no calibration has come on {} yet", args.info)),
-    };
-    let (config, mut settings) = settings(&args)?;
-    settings.readout_ms = readout_ms;
-    let loaded = args.load_path.as_deref().map(Loaded::read).transpose();
-    let loaded = loaded.map_err(anyhow::Error::msg)?;
-
+    let begin = beginning(&args)?;
     let context = connect().context("the ROS domain cannot be joined")?;
     let (work_sender, work) = way_to_work();
     let (news_sender, news) = sync_channel(NEWS_AHEAD);
@@ -99,14 +86,8 @@ fn run(args: Args) -> anyhow::Result<()> {
     let local = Local::new(&mut node, &args)?;
     let inputs = Inputs::new(&mut node, &args)?;
 
-    let map_from_world = settings.map_from_world;
-    say_beginning(&log, &args, loaded.as_ref());
-    let begin = Beginning {
-        settings,
-        config,
-        camera,
-        loaded,
-    };
+    let map_from_world = begin.settings.map_from_world;
+    say_beginning(&log, &args, begin.loaded.as_ref());
     let tracking = Tracking::new(
         begin,
         &args,
@@ -140,6 +121,27 @@ fn run(args: Args) -> anyhow::Result<()> {
     tracking.join().ok().context("tracking failed")?;
     maps.join().ok().context("the maps failed")?;
     Ok(())
+}
+
+/// What tracking begins with, by the options.
+fn beginning(args: &Args) -> anyhow::Result<Beginning> {
+    let calibration = args.calibration.as_deref();
+    let calibration = calibration.map(|path| Calibration::read(path, None));
+    let calibration = calibration.transpose()?;
+    let told_ms = calibration.as_ref().and_then(|known| known.readout_ms);
+    let (config, mut settings) = settings(args)?;
+    settings.readout_ms = args.rolling_shutter.or(told_ms).unwrap_or(0.0);
+    let camera = match calibration {
+        Some(calibration) => Ok(calibration.camera),
+        None => Err(format!("no calibration has come on {} yet", args.info)),
+    };
+    let loaded = args.load_path.as_deref().map(Loaded::read).transpose();
+    Ok(Beginning {
+        settings,
+        config,
+        camera,
+        loaded: loaded.map_err(anyhow::Error::msg)?,
+    })
 }
 
 fn say_beginning(log: &Log, args: &Args, loaded: Option<&Loaded>) {

@@ -107,6 +107,9 @@ fn scannet(folder: &Folder) {
     }
 }
 
+/// Makes the files of a layout.
+type Maker<'a> = &'a dyn Fn(&Folder);
+
 #[test]
 fn check_names_the_layout_of_each_data_set() {
     let tum_vi = |folder: &Folder| {
@@ -125,7 +128,7 @@ fn check_names_the_layout_of_each_data_set() {
         folder.write("associated.txt", "");
     };
     let plain = |folder: &Folder| (0..COUNT).for_each(|k| folder.image(&format!("{k}.png"), k));
-    let kinds: [(&str, &dyn Fn(&Folder)); 11] = [
+    let kinds: [(&str, Maker); 11] = [
         ("TUM RGB-D", &tum),
         ("ETH3D", &eth3d),
         ("TUM monoVO", &tum_mono_vo),
