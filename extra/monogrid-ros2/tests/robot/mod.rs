@@ -308,50 +308,32 @@ fn all<M: RosMessage + 'static>(topic: &Subscription<M>) -> Vec<M> {
     std::iter::from_fn(|| topic.take().ok().flatten().map(|(message, _)| message)).collect()
 }
 
+fn hear<M: RosMessage + 'static>(
+    node: &mut RosNode,
+    on: &str,
+    quality: Quality,
+) -> Subscription<M> {
+    node.subscription(on, quality).unwrap()
+}
+
 fn listen(domain: u16, heard: &std::sync::Mutex<Heard>, stop: &AtomicBool) {
     let context = connect_to(domain, true).unwrap();
     let mut node = RosNode::new(&context, "/", "listener", NodeOptions::new()).unwrap();
-    let odometry = node
-        .subscription::<Odometry>("odom", Quality::Stream)
-        .unwrap();
-    let tf = node
-        .subscription::<TFMessage>("/tf", Quality::Stream)
-        .unwrap();
-    let tf_static = node
-        .subscription::<TFMessage>("/tf_static", Quality::Latched)
-        .unwrap();
-    let grid = node
-        .subscription::<OccupancyGrid>("map", Quality::Latched)
-        .unwrap();
-    let updates = node
-        .subscription::<OccupancyGridUpdate>("map_updates", Quality::Stream)
-        .unwrap();
-    let local_map = node
-        .subscription::<OccupancyGrid>("local_map", Quality::Stream)
-        .unwrap();
-    let local_tree = node
-        .subscription::<Octomap>("local_octomap", Quality::Stream)
-        .unwrap();
-    let large = node
-        .subscription::<Octomap>("large_octomap", Quality::Latched)
-        .unwrap();
-    let binary = node
-        .subscription::<Octomap>("octomap_binary", Quality::Latched)
-        .unwrap();
-    let full = node
-        .subscription::<Octomap>("octomap_full", Quality::Latched)
-        .unwrap();
-    let cells = node
-        .subscription::<PointCloud2>("octomap_point_cloud_centers", Quality::Latched)
-        .unwrap();
-    let points = node
-        .subscription::<PointCloud2>("points", Quality::Stream)
-        .unwrap();
-    let path = node.subscription::<Path>("path", Quality::Latched).unwrap();
-    let diagnostics = node
-        .subscription::<DiagnosticArray>("/diagnostics", Quality::Stream)
-        .unwrap();
-    let log = node.subscription::<Log>("/rosout", Quality::Log).unwrap();
+    let odometry = hear::<Odometry>(&mut node, "odom", Quality::Stream);
+    let tf = hear::<TFMessage>(&mut node, "/tf", Quality::Stream);
+    let tf_static = hear::<TFMessage>(&mut node, "/tf_static", Quality::Latched);
+    let grid = hear::<OccupancyGrid>(&mut node, "map", Quality::Latched);
+    let updates = hear::<OccupancyGridUpdate>(&mut node, "map_updates", Quality::Stream);
+    let local_map = hear::<OccupancyGrid>(&mut node, "local_map", Quality::Stream);
+    let local_tree = hear::<Octomap>(&mut node, "local_octomap", Quality::Stream);
+    let large = hear::<Octomap>(&mut node, "large_octomap", Quality::Latched);
+    let binary = hear::<Octomap>(&mut node, "octomap_binary", Quality::Latched);
+    let full = hear::<Octomap>(&mut node, "octomap_full", Quality::Latched);
+    let cells = hear::<PointCloud2>(&mut node, "octomap_point_cloud_centers", Quality::Latched);
+    let points = hear::<PointCloud2>(&mut node, "points", Quality::Stream);
+    let path = hear::<Path>(&mut node, "path", Quality::Latched);
+    let diagnostics = hear::<DiagnosticArray>(&mut node, "/diagnostics", Quality::Stream);
+    let log = hear::<Log>(&mut node, "/rosout", Quality::Log);
     while !stop.load(Ordering::Relaxed) {
         thread::sleep(LOOK_EVERY);
         let mut heard = heard.lock().unwrap();
