@@ -191,6 +191,12 @@ impl Sources {
             }
             save_atomically(&this.path(name), |file| write_ot(&map, file)).unwrap();
         }
+        let mut free = OccupancyMap::new(MapConfig::with_resolution(0.1)).unwrap();
+        for k in 0..1000 {
+            let key = VoxelKey::new(k % 10, k / 10 % 10, k / 100);
+            free.set_log_odds(key, Some(-1.0)).unwrap();
+        }
+        save_atomically(&this.path("free.ot"), |file| write_ot(&free, file)).unwrap();
         this
     }
 
@@ -269,6 +275,7 @@ impl Sources {
         let read_by_map = "recording.mgk settings.toml";
         let truth = "@mesh.obj --trajectory @inside.txt";
         let crop = "--min -1,-1,-1 --max 1,1,1 @map.ot";
+        let plan = "--robot-radius 0.1 @free.ot 0.4,0.5,0.5 0.6,0.5,0.5";
         let images = "images/0.png images/2.png";
         let evaluate = "@estimate.txt @poses.txt --align none";
         let transform = "--sim3 @sim3.txt @map.ot";
@@ -288,6 +295,7 @@ impl Sources {
             self.call("project", "", "pgm", "@map.ot", "map.ot"),
             self.call("mesh", "", "glb", "@map.ot", "map.ot"),
             self.call("distances", "", "npy", "@map.ot", "map.ot"),
+            self.call("plan", "--out", "csv", plan, "free.ot"),
             self.call("view", "--html", "html", "@map.ot", "map.ot"),
             self.call(
                 "thesis vocabulary",
@@ -417,12 +425,11 @@ fn commands_of(prefix: &[&str]) -> Vec<String> {
 }
 
 /// Commands that write nothing.
-const READERS: [&str; 9] = [
+const READERS: [&str; 8] = [
     "cameras",
     "check",
     "completions",
     "info",
-    "plan",
     "diff",
     "evaluate depth",
     "evaluate map",
