@@ -7,6 +7,7 @@
 //! Nothing is taken from such a pose: no depth, no keyframe.
 
 use crate::keyframe::{PoseSource, TrajectoryPose};
+use crate::median::median;
 use monogrid_geometry::{Rotation, Se3, Vec3, rotation_exp, rotation_log};
 use std::ops::Range;
 
@@ -79,13 +80,13 @@ impl Acceleration {
     /// Over the whole path; `None` where no three poses are near each other.
     fn usual(seen: &[SeenPose]) -> Option<Self> {
         let at = |k: usize| Self::at(&seen[..=k], &seen[k..]);
-        let (place, turn): (Vec<f64>, Vec<f64>) = (0..seen.len())
+        let (mut place, mut turn): (Vec<f64>, Vec<f64>) = (0..seen.len())
             .filter_map(at)
             .map(|a| (a.place, a.turn))
             .unzip();
         Some(Self {
-            place: median(place)?,
-            turn: median(turn)?,
+            place: median(&mut place)?,
+            turn: median(&mut turn)?,
         })
     }
 
@@ -106,11 +107,6 @@ impl Acceleration {
         // NaN is no time
         by_place.sqrt().min(by_turn.sqrt()).min(MAX_SECS)
     }
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 /// How the camera moves at a pose.

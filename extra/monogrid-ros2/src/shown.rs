@@ -64,7 +64,7 @@ impl Shown {
         })
     }
 
-    /// The same with the map that has the poses of the time.
+    /// Adds the map that has the poses of the time.
     #[must_use]
     pub fn with_large(mut self, large: &Arc<OccupancyMap>, metres_per_unit: f64) -> Self {
         self.large = Some((Arc::clone(large), metres_per_unit));

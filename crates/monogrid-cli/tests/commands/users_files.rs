@@ -182,6 +182,12 @@ impl Sources {
         fs::write(this.path("run/trajectory.txt"), POSES).unwrap();
         fs::write(this.path("run/map_from_world.txt"), "1 0 0 0 0 0 0 1\n").unwrap();
         fs::write(this.path("run/summary.json"), "{\"scale\": \"arbitrary\"}").unwrap();
+        this.write_maps();
+        this
+    }
+
+    /// A row of cells twice, and a room that is free.
+    fn write_maps(&self) {
         for name in ["map.ot", "other.ot"] {
             let mut map = OccupancyMap::new(MapConfig::with_resolution(0.1)).unwrap();
             for x in 0..20 {
@@ -189,15 +195,14 @@ impl Sources {
                 let key = VoxelKey::new(x, 2, 0);
                 map.set_log_odds(key, Some(log_odds)).unwrap();
             }
-            save_atomically(&this.path(name), |file| write_ot(&map, file)).unwrap();
+            save_atomically(&self.path(name), |file| write_ot(&map, file)).unwrap();
         }
         let mut free = OccupancyMap::new(MapConfig::with_resolution(0.1)).unwrap();
         for k in 0..1000 {
             let key = VoxelKey::new(k % 10, k / 10 % 10, k / 100);
             free.set_log_odds(key, Some(-1.0)).unwrap();
         }
-        save_atomically(&this.path("free.ot"), |file| write_ot(&free, file)).unwrap();
-        this
+        save_atomically(&self.path("free.ot"), |file| write_ot(&free, file)).unwrap();
     }
 
     fn path(&self, name: &str) -> PathBuf {

@@ -56,7 +56,7 @@ pub enum Layout {
     TumMonoVo,
     /// `mav0/cam0/data.csv`.
     Euroc,
-    /// The same with `dso/` or `mav0/mocap0/`.
+    /// As [`Self::Euroc`], with `dso/` or `mav0/mocap0/`.
     TumVi,
     /// As [`Self::Tum`], with `associated.txt`.
     Eth3d,

@@ -343,9 +343,9 @@ impl Slam {
         self.trajectory_in(MAIN_MAP)
     }
 
-    /// The same, and between them frames in which the camera was lost for a short time: where it
-    /// would be if it went on as it moved. As long as the error of that is small, by how much the
-    /// camera accelerates elsewhere, and for a second and a half at most.
+    /// [`Self::trajectory`], and between its frames those in which the camera was lost for a short
+    /// time: where it would be if it went on as it moved. As long as the error of that is small, by
+    /// how much the camera accelerates elsewhere, and for a second and a half at most.
     #[must_use]
     pub fn whole_trajectory(&self) -> Vec<TrajectoryPose> {
         self.map.whole_trajectory()

@@ -6,6 +6,7 @@
 //! `[BARSHALOM88]` (section 2.3) may be of another thing than the room: of somebody who walks by,
 //! whose points agree with each other as well.
 
+use crate::median::median;
 use monogrid_alignment::Motion;
 use monogrid_geometry::{Se3, Vec6};
 use std::collections::VecDeque;
@@ -99,9 +100,8 @@ impl Accelerations {
         if self.0.len() < MIN_REMEMBERED {
             return FIRST_GATE;
         }
-        let mut sorted: Vec<f64> = self.0.iter().copied().collect();
-        sorted.sort_unstable_by(f64::total_cmp);
-        let median = sorted[sorted.len() / 2];
+        let mut remembered: Vec<f64> = self.0.iter().copied().collect();
+        let median = median(&mut remembered).unwrap_or_default();
         let at_once = MOST_AT_ONCE * half_square(before_ns, interval_ns.min(before_ns));
         let on_average = MOST_ON_AVERAGE * half_square(before_ns, interval_ns);
         (median * at_once.max(on_average)).max(MIN_GATE)

@@ -17,7 +17,7 @@ use std::path::Path;
 
 /// The surface of a run.
 pub const MESH: &str = "mesh.ply";
-/// The same with the picture on it, where it has one.
+/// The surface of a run, with the picture on it where it has one.
 pub const MODEL: &str = "mesh.glb";
 /// Its occupied cells with their colours.
 pub const CELLS: &str = "cells.ply";
