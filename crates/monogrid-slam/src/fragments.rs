@@ -24,9 +24,9 @@ pub struct FragmentConfig {
     pub min_lost_secs: f64,
     /// Fragments that are not joined at most; while there are as many, a lost camera waits.
     pub max_apart: usize,
-    /// Keyframes of a fragment that must be recognised in another one, verified by points in both
-    /// directions, and agree about where the fragment is; one of them must have been aligned
-    /// directly. More for places that look alike.
+    /// Keyframes of each of two fragments that must be recognised in the other, verified by points
+    /// in both directions, and agree about where the one lies in the other, where direct alignment
+    /// confirms a pair of them. Where it confirms none, one pair more than this must agree.
     pub(crate) min_agreeing: usize,
     /// A fragment that is apart at the end becomes the map, and the first map a fragment, where it
     /// has at least so many times as many frames with a pose; not where the first map is in metres
@@ -77,6 +77,8 @@ pub struct Agreement {
     pub keyframes: usize,
     /// Its pairs of keyframes that direct alignment confirmed.
     pub aligned: usize,
+    /// Its pairs of keyframes.
+    pub pairs: usize,
 }
 
 /// What two fragments that were made apart have in common.
@@ -93,13 +95,27 @@ pub struct Meeting {
 }
 
 impl Meeting {
-    /// Whether that is enough to join the two.
+    /// Whether that is enough to join two runs.
     #[must_use]
     pub fn is_enough(&self, config: &MergeConfig) -> bool {
         let needed = config.min_majority * self.contradicting.keyframes as f64;
         self.agreeing.keyframes >= config.min_agreeing
             && self.agreeing.aligned >= config.min_aligned
             && self.agreeing.keyframes as f64 >= needed
+    }
+
+    /// Whether that is enough to join two fragments of one run. Direct alignment fails where steps
+    /// are large or a picture is blurred: a further pair of keyframes that agrees by its points is as
+    /// good. Nothing was moved meanwhile, so that several keyframes may have recognised a single
+    /// one: a lost frame is believed by less.
+    #[must_use]
+    pub(crate) fn is_enough_in_run(&self, config: &FragmentConfig) -> bool {
+        let Agreement {
+            keyframes, aligned, ..
+        } = self.agreeing;
+        let is_aligned = keyframes >= config.min_agreeing && aligned > 0;
+        (is_aligned || self.agreeing.pairs > config.min_agreeing)
+            && keyframes > self.contradicting.keyframes
     }
 }
 
@@ -165,6 +181,40 @@ pub struct Bridge {
 mod tests {
     use super::*;
 
+    fn meeting(
+        (keyframes, aligned, pairs): (usize, usize, usize),
+        contradicting: usize,
+    ) -> Meeting {
+        Meeting {
+            fragments: (0, 1),
+            sightings: 10,
+            agreeing: Agreement {
+                keyframes,
+                aligned,
+                pairs,
+            },
+            contradicting: Agreement {
+                keyframes: contradicting,
+                ..Agreement::default()
+            },
+        }
+    }
+
+    #[test]
+    fn fragments_of_a_run_are_joined_by_one_aligned_pair_of_two_keyframes_or_by_three_pairs() {
+        let config = FragmentConfig::default();
+        let is_enough =
+            |agreeing, contradicting| meeting(agreeing, contradicting).is_enough_in_run(&config);
+        assert!(is_enough((2, 1, 2), 0));
+        assert!(!is_enough((2, 0, 2), 0));
+        assert!(!is_enough((1, 1, 2), 0));
+        assert!(is_enough((1, 0, 3), 0));
+        // not where as many say otherwise
+        assert!(!is_enough((1, 0, 3), 1));
+        assert!(is_enough((3, 1, 3), 2));
+        assert!(!is_enough((3, 1, 3), 3));
+    }
+
     #[test]
     fn maps_are_joined_by_enough_keyframes_that_agree_are_aligned_and_outnumber_the_others() {
         let config = MergeConfig {
@@ -173,18 +223,7 @@ mod tests {
             min_majority: 1.5,
         };
         let is_enough = |keyframes, aligned, contradicting| {
-            let agreeing = Agreement { keyframes, aligned };
-            let contradicting = Agreement {
-                keyframes: contradicting,
-                aligned: 0,
-            };
-            let meeting = Meeting {
-                fragments: (0, 1),
-                sightings: 10,
-                agreeing,
-                contradicting,
-            };
-            meeting.is_enough(&config)
+            meeting((keyframes, aligned, 10), contradicting).is_enough(&config)
         };
         assert!(is_enough(4, 2, 0));
         assert!(!is_enough(3, 2, 0));

@@ -18,7 +18,7 @@ const STEP: usize = 2;
 const INTERVAL_NS: i64 = 66_666_667;
 /// The known part, and another that ends there.
 const KNOWN: std::ops::Range<usize> = 0..80;
-const BACK: std::ops::Range<usize> = 1060..1300;
+const BACK: std::ops::Range<usize> = 880..1300;
 
 struct World {
     sequence: SynthSequence,

@@ -43,11 +43,11 @@ pub struct Feature {
 /// Settings of the extraction.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FeatureConfig {
-    /// Most features over all levels; each level gets half as many as the one below. Default 800.
+    /// Most features over all levels; each level gets half as many as the one below. Default 1000.
     pub max_features: usize,
     /// Pyramid levels used. Default 4.
     pub num_levels: usize,
-    /// Smallest distance between two features, px of their level. Default 8.
+    /// Smallest distance between two features, px of their level. Default 5.
     pub min_distance_px: f64,
     /// Smallest corner score, see [`CornerConfig::min_score`]. Default 5.
     pub min_score: f32,
@@ -59,9 +59,9 @@ pub struct FeatureConfig {
 impl Default for FeatureConfig {
     fn default() -> Self {
         Self {
-            max_features: 800,
+            max_features: 1000,
             num_levels: 4,
-            min_distance_px: 8.0,
+            min_distance_px: 5.0,
             min_score: 5.0,
             is_steered: false,
         }

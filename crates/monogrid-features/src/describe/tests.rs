@@ -89,7 +89,7 @@ fn turned_and_enlarged_views_match_where_they_should() {
         (0.0, 2.0, 0.5),
     ] {
         let other = steered(view(&texture, angle_deg, scale, 2));
-        let matches = matches(&descriptors(&reference), &descriptors(&other));
+        let matches = match_features(&reference, &other, 70, 0.85);
         let (sin, cos) = f64::to_radians(angle_deg).sin_cos();
         let centre = Vec2::new(160.0, 120.0);
         let right = matches
@@ -126,6 +126,37 @@ fn one_partner_each_and_the_ratio_remove_doubtful_matches() {
     assert_eq!(matches(&doubled, &a[..1]).len(), 1);
     assert!(matches(&[], &a).is_empty());
     assert!(matches(&a, &[]).is_empty());
+}
+
+#[test]
+fn features_match_where_each_is_nearest_to_the_other_and_no_second_is_as_near() {
+    let mut rng = Rng::new(6);
+    let feature = |descriptor| Feature {
+        pixel: Vec2::zeros(),
+        level: 0,
+        angle_rad: 0.0,
+        descriptor,
+    };
+    let a: Vec<Feature> = (0..40)
+        .map(|_| feature(Descriptor(std::array::from_fn(|_| rng.next_u64()))))
+        .collect();
+    // other bits of each than an index finds together, up to 60 of them
+    let mut b: Vec<Feature> = a.iter().rev().copied().collect();
+    for (i, feature) in b.iter_mut().enumerate() {
+        feature.descriptor.0[i % 4] ^= (1u64 << (i + 21)) - 1;
+    }
+    let found = match_features(&a, &b, 60, 0.85);
+    assert_eq!(found.len(), 40);
+    assert!(found.iter().all(|m| m.a_idx + m.b_idx == 39));
+    assert_eq!(match_features(&a, &b, 59, 0.85).len(), 39);
+    // a twin leaves the partner in doubt, whichever side has it
+    let with_twin = [&b[..], &b[3..4]].concat();
+    assert_eq!(match_features(&a, &with_twin, 60, 0.85).len(), 39);
+    let doubled = [&a[..], &a[3..4]].concat();
+    let found = match_features(&doubled, &b, 60, 0.85);
+    assert_eq!(found.len(), 40, "the first of two that are as near");
+    assert!(match_features(&[], &b, 60, 0.85).is_empty());
+    assert!(match_features(&a, &[], 60, 0.85).is_empty());
 }
 
 #[test]

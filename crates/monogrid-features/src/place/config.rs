@@ -16,7 +16,7 @@ pub struct PlaceMemoryConfig {
     pub max_relative_sigma: f64,
     /// Standard deviation of a corner's position, px of its level. Default 1.
     pub pixel_sigma: f64,
-    /// Largest number of differing bits where the pose predicts a corner. Default 70.
+    /// Largest number of differing bits of two corners that are compared one by one. Default 70.
     pub max_guided_distance: u32,
     /// Fewest corners that agree with the final pose, and fewest that should be in view. Default
     /// 25.
@@ -27,11 +27,9 @@ pub struct PlaceMemoryConfig {
     /// The same of a loop closure: a few things far away say little about the translation. Default
     /// 8.
     pub min_loop_cells: usize,
-    /// Smallest share of the corners in view that look as predicted, of a relocalised frame.
-    /// Default 0.5.
+    /// Smallest share of the corners in view that look as predicted, of a loop closure in both
+    /// directions. Default 0.5.
     pub min_agreement: f64,
-    /// The same of a loop closure, in both directions: a wrong one does more harm. Default 0.6.
-    pub min_loop_agreement: f64,
     /// Largest share of the parts of the image that contradict: they should show corners, and show
     /// something else. Default 0.25.
     pub max_contradiction: f64,
@@ -62,7 +60,6 @@ impl Default for PlaceMemoryConfig {
             min_cells: 6,
             min_loop_cells: 8,
             min_agreement: 0.5,
-            min_loop_agreement: 0.6,
             max_contradiction: 0.25,
             max_translation_sigma: 0.03,
             max_rotation_sigma_deg: 1.0,

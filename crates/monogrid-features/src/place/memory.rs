@@ -6,7 +6,8 @@ use super::refine::Freedom;
 use super::support::{Support, support};
 use super::view::{DepthLookup, Landmark, View, landmarks};
 use super::{FabMap, PlaceMemoryConfig};
-use crate::{Descriptor, FeatureExtractor, PlaceCandidate, PlaceIndex};
+use crate::describe::match_features;
+use crate::{Descriptor, DescriptorMatch, Feature, FeatureExtractor, PlaceCandidate, PlaceIndex};
 use monogrid_geometry::{Mat6, Mat7, Pinhole, Se3, Sim3};
 use monogrid_image::{Mask, Pyramid};
 use std::collections::{BTreeMap, BTreeSet};
@@ -171,7 +172,7 @@ impl PlaceMemory {
                 let (fit, correspondences) = locate(
                     &keyframe,
                     &frame,
-                    &candidate.matches,
+                    &self.matches(&view.features, &known.features),
                     Freedom::Rigid,
                     &self.config,
                 )?;
@@ -179,8 +180,7 @@ impl PlaceMemory {
                     return None;
                 }
                 let support = self.support(&known.landmarks, &view, &self.pinhole, &fit.b_from_a);
-                let is_sound =
-                    self.is_supported(&support, self.config.min_cells, self.config.min_agreement);
+                let is_sound = self.is_supported(&support, self.config.min_cells);
                 is_sound.then(|| Relocalisation {
                     keyframe: candidate.place,
                     frame_from_keyframe: fit.b_from_a.to_se3(),
@@ -222,19 +222,14 @@ impl PlaceMemory {
                 let (fit, correspondences) = locate(
                     &other_side,
                     &this_side,
-                    &candidate.matches,
+                    &self.matches(&this.features, &other.features),
                     Freedom::Similarity,
                     &self.config,
                 )?;
                 if !is_determined(&fit, &correspondences, this.size, &self.config) {
                     return None;
                 }
-                let PlaceMemoryConfig {
-                    min_loop_cells,
-                    min_loop_agreement,
-                    ..
-                } = self.config;
-                let is_supported = |s| self.is_supported(s, min_loop_cells, min_loop_agreement);
+                let is_supported = |s| self.is_supported(s, self.config.min_loop_cells);
                 let support =
                     self.support(&other.landmarks, &this_view, &this.pinhole, &fit.b_from_a);
                 if !is_supported(&support) {
@@ -282,6 +277,13 @@ impl PlaceMemory {
             .query(descriptors, config, |place| believed.contains(&place))
     }
 
+    /// Corners of a view and of a keyframe that may be the same.
+    fn matches(&self, view: &[Feature], keyframe: &[Feature]) -> Vec<DescriptorMatch> {
+        let config = &self.config;
+        let ratio = config.candidates.max_ratio;
+        match_features(view, keyframe, config.max_guided_distance, ratio)
+    }
+
     /// The corners of a keyframe, where it is known and they can be read back.
     pub(super) fn corners(&self, id: u64) -> Option<Arc<PlaceCorners>> {
         self.known.get(&id)?.get()
@@ -312,10 +314,10 @@ impl PlaceMemory {
         )
     }
 
-    fn is_supported(&self, support: &Support, min_cells: usize, min_agreement: f64) -> bool {
+    fn is_supported(&self, support: &Support, min_cells: usize) -> bool {
         support.num_visible >= self.config.min_inliers
             && support.cells_visible >= min_cells
-            && support.agreement() >= min_agreement
+            && support.agreement() >= self.config.min_agreement
             && support.contradiction() <= self.config.max_contradiction
     }
 }

@@ -3,6 +3,7 @@
 
 use super::{GraphJob, GraphUpdate, KeyframeGraph, Relocalised};
 use crate::fault;
+use crate::view::View;
 use monogrid_image::Pyramid;
 use std::panic::resume_unwind;
 use std::sync::Arc;
@@ -12,7 +13,8 @@ use std::thread::JoinHandle;
 /// What the thread is asked.
 pub(crate) enum Request {
     Job(Box<GraphJob>),
-    Relocalise(Arc<Pyramid>),
+    /// A frame, and the keyframe in use as it is.
+    Relocalise(Arc<Pyramid>, Option<Arc<View>>),
 }
 
 /// The graph and the thread on which it works. At most one job is under way.
@@ -53,9 +55,9 @@ impl GraphWorker {
                         fault::pass("graph");
                         outbox.send(threaded.run(*job)).is_ok()
                     }
-                    Request::Relocalise(frame) => {
-                        place_outbox.send(threaded.relocalise(&frame)).is_ok()
-                    }
+                    Request::Relocalise(frame, in_use) => place_outbox
+                        .send(threaded.relocalise(&frame, in_use))
+                        .is_ok(),
                 };
                 if !answered {
                     return;
@@ -105,21 +107,25 @@ impl GraphWorker {
         }
     }
 
-    /// Where a frame is among the keyframes of all jobs so far, waiting for the answer; nowhere
-    /// once the thread has failed.
+    /// Where a frame is among the keyframes of all jobs so far and the one in use, waiting for the
+    /// answer; nowhere once the thread has failed.
     ///
     /// # Panics
     /// With the panic of the thread, once.
-    pub(crate) fn relocalise(&mut self, frame: &Arc<Pyramid>) -> Vec<Relocalised> {
+    pub(crate) fn relocalise(
+        &mut self,
+        frame: &Arc<Pyramid>,
+        in_use: Option<Arc<View>>,
+    ) -> Vec<Relocalised> {
         match self {
-            Self::Inline { graph, .. } => graph.relocalise(frame),
+            Self::Inline { graph, .. } => graph.relocalise(frame, in_use),
             Self::Threaded {
                 requests,
                 places,
                 thread,
                 ..
             } => {
-                ask(requests, Request::Relocalise(Arc::clone(frame)));
+                ask(requests, Request::Relocalise(Arc::clone(frame), in_use));
                 match places.recv() {
                     Ok(found) => found,
                     Err(_) => {

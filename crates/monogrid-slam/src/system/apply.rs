@@ -7,7 +7,7 @@ use super::constrain::{GraphLink, graph_job};
 use super::depth::{DepthStage, Successor, observe_old_keyframes, stored_depth};
 use super::inertia::Placement;
 use super::keyframes::{Effort, KeyframePolicy, Use, finish_keyframe, first_keyframe};
-use super::lost::Recovery;
+use super::lost::{MIN_LOST_FRAMES, Recovery};
 use super::outcome::{Attempt, KeyframeChange};
 use super::points::{adjust_points, adjust_whole};
 use super::reactivate::Confirmed;
@@ -302,6 +302,15 @@ impl Slam {
         self.recovery.count(was_tracked)
     }
 
+    /// The keyframe on which the camera was lost, as it is, for the first frame that is looked for.
+    pub(super) fn lost_on(&self) -> Option<Arc<View>> {
+        if self.recovery.lost_in_a_row() != MIN_LOST_FRAMES || self.setup.is_frozen {
+            return None;
+        }
+        let (active, depth) = (self.tracker.active.as_ref()?, self.depth.get()?);
+        finish_keyframe(&self.setup, &self.map, active.id, depth).view
+    }
+
     /// What became of a lost frame.
     pub(super) fn recover(&mut self, recovery: Recovery, report: &mut FrameReport) {
         match recovery {
@@ -337,7 +346,7 @@ impl Slam {
 
     /// Goes on where the camera was recognised.
     fn resume(&mut self, frame: &Frame, recognised: Recognised, report: &mut FrameReport) {
-        let (id, alignment) = (recognised.id, recognised.alignment);
+        let (id, alignment, state) = (recognised.id, recognised.alignment, recognised.state);
         let left = self.leave();
         let finished = left.as_ref().map(|left| left.id);
         report.finished_keyframe = finished.filter(|_| !self.setup.is_frozen);
@@ -363,7 +372,10 @@ impl Slam {
         self.end_loss(keyframe, true);
         self.tracker.last = None;
         self.believe(frame, motion);
-        report.place_anew(self.map.locate(keyframe, &motion.frame_from_keyframe));
+        report.place_as(
+            state,
+            self.map.locate(keyframe, &motion.frame_from_keyframe),
+        );
         report.relocalised = true;
         report.keyframe = Some(keyframe);
         report.covariance = alignment.covariance;

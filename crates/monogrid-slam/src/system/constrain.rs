@@ -91,11 +91,15 @@ impl GraphLink {
         Some(update)
     }
 
-    /// Keyframes that a frame shows, by appearance, the most certain first. No job may be under
-    /// way.
-    pub(super) fn recognise(&mut self, frame: &Arc<Pyramid>) -> Vec<Relocalised> {
+    /// Keyframes that a frame shows, by appearance, the most certain first; also of the one in use,
+    /// which the graph may not know yet. No job may be under way.
+    pub(super) fn recognise(
+        &mut self,
+        frame: &Arc<Pyramid>,
+        in_use: Option<Arc<View>>,
+    ) -> Vec<Relocalised> {
         let worker = self.worker.as_mut();
-        worker.map_or_else(Vec::new, |worker| worker.relocalise(frame))
+        worker.map_or_else(Vec::new, |worker| worker.relocalise(frame, in_use))
     }
 }
 

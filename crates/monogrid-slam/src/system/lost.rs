@@ -23,7 +23,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 /// Frames that must be lost in a row before the camera is looked for elsewhere.
-const MIN_LOST_FRAMES: usize = 2;
+pub(super) const MIN_LOST_FRAMES: usize = 2;
 
 /// Last frames with a pose that are kept, in case that the camera is lost after them: a start that
 /// shows them goes on in their map.

@@ -61,8 +61,14 @@ impl FrameReport {
 
     /// The same of a camera that was lost, or has no map before.
     pub(super) fn place_anew(&mut self, place: InFragment) {
-        self.state = TrackingState::Good;
-        self.reason = None;
+        self.place_as(TrackingState::Good, place);
+    }
+
+    /// The same of a camera whose picture was recognised: good, or degraded where the pixels agree
+    /// less.
+    pub(super) fn place_as(&mut self, state: TrackingState, place: InFragment) {
+        self.state = state;
+        self.reason = (state != TrackingState::Good).then_some(LostReason::Residuals);
         self.place(place);
     }
 }

@@ -185,8 +185,9 @@ impl Slam {
         let mut found = Vec::new();
         if is_worth_it && self.setup.config.graph.places.enabled {
             self.await_graph();
+            let in_use = self.lost_on();
             if let Some(graph) = self.graph.as_mut() {
-                found = graph.recognise(&frame.pyramid);
+                found = graph.recognise(&frame.pyramid, in_use);
             }
         }
         let (tracker, depth) = (&self.tracker, &self.depth);

@@ -1,7 +1,7 @@
 //! Relocalisation: a camera that is lost finds back to any keyframe that it sees.
 
 use super::depth::{DepthStage, Successor, sampled_depth, stored_depth, successor, unpacked};
-use super::tracking::{Tracker, track_on_other};
+use super::tracking::{Tracker, track_where_recognised};
 use crate::frame::Frame;
 use crate::graph::Relocalised;
 use crate::map::{Map, MapKeyframe};
@@ -9,7 +9,7 @@ use crate::policy::aligned_score;
 use crate::setup::Setup;
 use crate::tracker::Tracked;
 use crate::{KeyframeId, TrackingState};
-use monogrid_alignment::{Alignment, Motion};
+use monogrid_alignment::Alignment;
 use monogrid_depth::DepthMap;
 
 /// A keyframe at which a lost camera was recognised, and where direct alignment agrees.
@@ -17,6 +17,8 @@ use monogrid_depth::DepthMap;
 pub(super) struct Recognised {
     pub id: KeyframeId,
     pub alignment: Alignment,
+    /// How far the pixels agree: good or degraded.
+    pub state: TrackingState,
     pub resume: Resume,
 }
 
@@ -46,7 +48,8 @@ impl<'a> InUse<'a> {
     }
 }
 
-/// The first of the keyframes found by appearance on which the frame can be tracked.
+/// The first of the keyframes found by appearance on which the frame can be tracked; one on which
+/// its pixels agree comes before those where a blurred frame agrees by its points alone.
 pub(super) fn relocalise(
     setup: &Setup,
     map: &Map,
@@ -54,19 +57,18 @@ pub(super) fn relocalise(
     frame: &Frame,
     in_use: Option<InUse<'_>>,
 ) -> Option<Recognised> {
-    found.iter().find_map(|found| {
-        // from the pose that its points give
-        let predicted = Motion::from_pose(found.frame_from_keyframe);
-        let view = &found.view;
-        let (pyramid, samples) = (view.image.pyramid()?, view.samples.get()?);
-        let tracked = track_on_other(setup, &pyramid, &samples, frame, predicted);
-        if tracked.state != TrackingState::Good {
-            return None;
-        }
+    let attempts = found.iter().filter_map(|found| {
+        let tracked = track_where_recognised(setup, map, found, frame)?;
+        Some((found, tracked))
+    });
+    let mut attempts: Vec<(&Relocalised, Tracked)> = attempts.collect();
+    attempts.sort_by_key(|(_, tracked)| tracked.state != TrackingState::Good);
+    attempts.iter().find_map(|(found, tracked)| {
         Some(Recognised {
-            id: view.id,
-            resume: resume_at(setup, map, (found, &tracked), frame, in_use)?,
-            alignment: tracked.alignment,
+            id: found.view.id,
+            resume: resume_at(setup, map, (found, tracked), frame, in_use)?,
+            alignment: tracked.alignment.clone(),
+            state: tracked.state,
         })
     })
 }

@@ -3,11 +3,12 @@
 
 use super::outcome::Attempt;
 use crate::frame::{BufferedFrame, Frame};
+use crate::graph::Relocalised;
 use crate::map::Map;
 use crate::policy::{Demand, demand};
 use crate::setup::Setup;
 use crate::tracker::{
-    Accelerations, FIRST_GATE, MotionPrior, PointMap, Task, Tracked, extrapolate, is_convincing,
+    Accelerations, MotionPrior, PointMap, Support, Task, Tracked, extrapolate, is_convincing,
 };
 use crate::{KeyframeId, LostReason, TrackingState};
 use monogrid_alignment::{DepthPixel, Motion, Reference};
@@ -138,13 +139,9 @@ impl Active {
         lost_in_a_row: usize,
     ) -> Tracked {
         let prior = motion_prior(setup, last, frame.timestamp_ns);
-        let points = setup.config.sparse.enabled.then(|| PointMap {
-            map,
-            keyframe: &map[self.id],
-            setup,
-        });
+        let points = points_of(setup, map, self.id);
         let task = Task::new(setup, &self.reference, frame, &prior);
-        let tracked = task.track_with_points(&last.pyramid, points.as_ref());
+        let tracked = task.track_with_points(Some(&*last.pyramid), points.as_ref());
         doubt(setup, tracked, lost_in_a_row)
     }
 
@@ -265,12 +262,34 @@ pub(super) fn track_on_other(
     predicted: Motion,
 ) -> Tracked {
     let reference = reference(setup, keyframe, samples);
-    let prior = MotionPrior {
-        last_from_keyframe: predicted,
-        frame_from_last: Se3::identity(),
-        gate: FIRST_GATE,
-    };
-    Task::new(setup, &reference, frame, &prior).track(None)
+    Task::new(setup, &reference, frame, &MotionPrior::at(predicted)).track(None)
+}
+
+/// The same by the points of the map too, where a frame was recognised.
+pub(super) fn track_where_recognised(
+    setup: &Setup,
+    map: &Map,
+    found: &Relocalised,
+    frame: &Frame,
+) -> Option<Tracked> {
+    let view = &found.view;
+    let (pyramid, samples) = (view.image.pyramid()?, view.samples.get()?);
+    let reference = reference(setup, &pyramid, &samples);
+    let prior = MotionPrior::at(Motion::from_pose(found.frame_from_keyframe));
+    let points = points_of(setup, map, view.id);
+    let tracked =
+        Task::new(setup, &reference, frame, &prior).track_with_points(None, points.as_ref());
+    let is_near = tracked.support != Support::None || !tracked.is_beyond_gate;
+    (tracked.state != TrackingState::Lost && is_near).then_some(tracked)
+}
+
+/// The points of the sparse layer as a keyframe has them.
+fn points_of<'a>(setup: &'a Setup, map: &'a Map, keyframe: KeyframeId) -> Option<PointMap<'a>> {
+    setup.config.sparse.enabled.then(|| PointMap {
+        map,
+        keyframe: &map[keyframe],
+        setup,
+    })
 }
 
 /// The points of a keyframe that frames are tracked on.

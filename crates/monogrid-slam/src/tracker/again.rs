@@ -49,18 +49,14 @@ const MIN_RESIDUAL: f64 = 0.1;
 
 #[cfg(test)]
 mod tests {
-    use super::super::FIRST_GATE;
+    use super::super::prior::FIRST_GATE;
     use super::super::tests::perfect;
     use super::*;
     use monogrid_alignment::Motion;
     use monogrid_geometry::{Se3, Vec3};
 
     fn still() -> MotionPrior {
-        MotionPrior {
-            last_from_keyframe: Motion::from_pose(Se3::identity()),
-            frame_from_last: Se3::identity(),
-            gate: FIRST_GATE,
-        }
+        MotionPrior::at(Motion::from_pose(Se3::identity()))
     }
 
     #[test]

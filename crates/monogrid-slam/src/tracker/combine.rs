@@ -20,10 +20,10 @@ impl Task<'_> {
     /// Tracks the frame by its pixels, then by the points of the map, if there is one.
     pub(crate) fn track_with_points(
         &self,
-        previous: &Pyramid,
+        previous: Option<&Pyramid>,
         map: Option<&PointMap<'_>>,
     ) -> Tracked {
-        let aligned = self.track(Some(previous));
+        let aligned = self.track(previous);
         let Some(map) = map.filter(|_| self.config.points.enabled) else {
             return aligned;
         };

@@ -8,7 +8,7 @@ mod prior;
 
 pub use self::config::{PointTrackingConfig, TrackingConfig};
 pub(crate) use self::points::PointMap;
-pub(crate) use self::prior::{Accelerations, FIRST_GATE, MotionPrior, extrapolate};
+pub(crate) use self::prior::{Accelerations, MotionPrior, extrapolate};
 
 use self::again::{better, is_weak};
 use crate::frame::Frame;

@@ -23,6 +23,15 @@ pub(crate) struct MotionPrior {
 }
 
 impl MotionPrior {
+    /// A pose that is expected for another reason than the motion of the last frames.
+    pub(crate) fn at(expected: Motion) -> Self {
+        Self {
+            last_from_keyframe: expected,
+            frame_from_last: Se3::identity(),
+            gate: FIRST_GATE,
+        }
+    }
+
     /// Where the motion of the last frames leads.
     pub(super) fn motion(&self) -> Motion {
         let last = &self.last_from_keyframe;

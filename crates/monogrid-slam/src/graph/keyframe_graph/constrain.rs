@@ -191,7 +191,7 @@ impl KeyframeGraph {
                 closed = true;
             }
         }
-        self.join_fragments(id) || closed
+        self.join_fragments() || closed
     }
 
     /// Remembered keyframes that show what this one shows, of those that are allowed.
@@ -209,14 +209,29 @@ impl KeyframeGraph {
     }
 
     /// Where a frame is, by appearance: the keyframe with its depth, and the pose relative to it.
-    /// Keyframes of the main map come first.
-    pub(crate) fn relocalise(&self, frame: &Pyramid) -> Vec<Relocalised> {
+    /// Keyframes of the main map come first. The one in use is known for the sake of this alone.
+    pub(crate) fn relocalise(
+        &mut self,
+        frame: &Pyramid,
+        in_use: Option<Arc<View>>,
+    ) -> Vec<Relocalised> {
+        if let Some(view) = in_use {
+            let samples = view.samples.get().unwrap_or_default();
+            self.remember(&view, &samples);
+            self.in_use = Some(view);
+        }
         let mut found = self.places.relocalise(frame, self.mask.as_ref(), |_| true);
         found.sort_by_key(|found| self.fragment_of(found.keyframe as KeyframeId));
         let relocalised = found.iter().filter_map(|found| {
-            let entry = self.entries.get(&(found.keyframe as KeyframeId))?;
+            let id = found.keyframe as KeyframeId;
+            let finished = self.entries.get(&id).map(|entry| &entry.view);
+            let view = self
+                .in_use
+                .as_ref()
+                .filter(|view| view.id == id)
+                .or(finished)?;
             Some(Relocalised {
-                view: Arc::clone(&entry.view),
+                view: Arc::clone(view),
                 frame_from_keyframe: found.frame_from_keyframe,
             })
         });

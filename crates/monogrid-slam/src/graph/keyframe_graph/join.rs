@@ -2,8 +2,9 @@
 //!
 //! A *sighting* is a keyframe that was recognised in another fragment, verified by points in both
 //! directions. Each says where one fragment lies in the other, with its scale. A single one may be
-//! wrong (rooms that look alike): fragments are joined when several keyframes agree, one of them
-//! aligned directly, and more of them than contradict.
+//! wrong (rooms that look alike): fragments are joined when several agree, and more of them than
+//! contradict ([`crate::Meeting`]). While the run goes on that is asked whenever a keyframe was
+//! recognised. At the end all keyframes are looked up in all other fragments (`merge`).
 //!
 //! The fragment that began later is moved by one similarity, and with its keyframes all that is
 //! known relative to them. Sightings that were aligned become loops. The first keyframes of a
@@ -15,7 +16,6 @@ use crate::graph::job::Joined;
 use crate::{FragmentId, KeyframeId};
 use monogrid_alignment::SimilarityConstraint;
 use monogrid_geometry::Sim3;
-use std::collections::BTreeSet;
 
 /// Largest difference between two keyframes that agree where there is no way between them: median
 /// depths, rad, and the logarithm of the scale. It grows with the way as drift does, but starts
@@ -48,38 +48,15 @@ impl KeyframeGraph {
         self.sightings.push(sighting);
     }
 
-    /// Joins fragments about which the sightings of keyframe `own` are confirmed by those of
-    /// others; whether there were any.
-    pub(super) fn join_fragments(&mut self, own: KeyframeId) -> bool {
+    /// Joins fragments of this run about which enough sightings agree; whether there were any.
+    pub(super) fn join_fragments(&mut self) -> bool {
+        let config = self.fragments.clone();
         let mut has_joined = false;
-        while let Some(agreeing) = self.confirmed(own) {
-            self.join(&agreeing);
+        while let Some(pair) = self.strongest(|meeting| meeting.is_enough_in_run(&config)) {
+            self.join(&pair.agreeing);
             has_joined = true;
         }
         has_joined
-    }
-
-    /// The sightings that agree with one of keyframe `own`, one that was aligned first, if they are
-    /// enough.
-    fn confirmed(&self, own: KeyframeId) -> Option<Vec<Sighting>> {
-        let candidates = self.sightings.iter().filter(|s| s.own == own);
-        candidates.into_iter().find_map(|sighting| {
-            let pair = self.pair_of(sighting);
-            let comparable = self.sightings.iter().filter(|s| self.pair_of(s) == pair);
-            let (agreeing, contradicting): (Vec<&Sighting>, Vec<&Sighting>) =
-                comparable.partition(|s| self.agree(sighting, s));
-            let keyframes = |sightings: &[&Sighting]| {
-                let own: BTreeSet<KeyframeId> = sightings.iter().map(|s| s.own).collect();
-                own.len()
-            };
-            let count = keyframes(&agreeing);
-            let is_enough =
-                count >= self.fragments.min_agreeing && count > keyframes(&contradicting);
-            let (aligned, others): (Vec<&Sighting>, Vec<&Sighting>) =
-                agreeing.iter().partition(|s| s.is_aligned());
-            (is_enough && !aligned.is_empty())
-                .then(|| aligned.into_iter().chain(others).cloned().collect())
-        })
     }
 
     /// The two fragments of a sighting, the older first.
@@ -139,6 +116,10 @@ impl KeyframeGraph {
             if let Some(constraint) = &sighting.constraint {
                 self.close_loop(sighting.other, sighting.own, constraint);
             }
+        }
+        if agreeing.iter().all(|sighting| !sighting.is_aligned()) {
+            // until points that both see, or alignment from there, say it better
+            self.hold(first.other, first.own);
         }
         self.active.remove(&from);
         self.active.insert(into);

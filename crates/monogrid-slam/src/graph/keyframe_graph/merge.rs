@@ -23,9 +23,9 @@ use std::collections::{BTreeMap, BTreeSet};
 const MAX_COMPARED: usize = 240;
 
 /// Two fragments, and the largest set of sightings that agree about them.
-struct Consistent {
+pub(super) struct Consistent {
     meeting: Meeting,
-    agreeing: Vec<Sighting>,
+    pub agreeing: Vec<Sighting>,
 }
 
 impl KeyframeGraph {
@@ -36,7 +36,7 @@ impl KeyframeGraph {
         self.sightings = self.meet();
         let meetings = self.consistent_pairs();
         let meetings = meetings.into_iter().map(|pair| pair.meeting).collect();
-        while let Some(pair) = self.strongest(config) {
+        while let Some(pair) = self.strongest(|meeting| meeting.is_enough(config)) {
             self.join(&pair.agreeing);
             self.optimise(Search::Wide);
         }
@@ -46,13 +46,23 @@ impl KeyframeGraph {
         (self.update(), meetings)
     }
 
+    /// The same of the fragments of this run at its end: what was seen first may show what was only
+    /// seen later.
+    pub(super) fn join_in_the_end(&mut self) {
+        self.sightings = self.meet();
+        if self.join_fragments() {
+            self.optimise(Search::Wide);
+        }
+    }
+
     /// Every keyframe, recognised in every other fragment.
     fn meet(&mut self) -> Vec<Sighting> {
         let ids: Vec<KeyframeId> = self.entries.keys().copied().collect();
         let this: &Self = self;
+        let fragments: BTreeSet<FragmentId> = this.poses.fragment.iter().copied().collect();
         let in_others = |id: &KeyframeId| {
             let own = this.fragment_of(*id);
-            let others = this.active.iter().filter(move |f| **f != own);
+            let others = fragments.iter().filter(move |f| **f != own);
             let found = others.flat_map(|other| this.recognise(*id, *other));
             found.collect::<Vec<_>>()
         };
@@ -93,10 +103,10 @@ impl KeyframeGraph {
     }
 
     /// The two fragments that have most in common, if that is enough to join them.
-    fn strongest(&self, config: &MergeConfig) -> Option<Consistent> {
+    pub(super) fn strongest(&self, is_enough: impl Fn(&Meeting) -> bool) -> Option<Consistent> {
         let pairs = self.consistent_pairs().into_iter();
         pairs
-            .filter(|pair| pair.meeting.is_enough(config))
+            .filter(|pair| is_enough(&pair.meeting))
             .max_by_key(|pair| (pair.meeting.agreeing, Reverse(pair.meeting.fragments)))
     }
 
@@ -151,6 +161,7 @@ impl KeyframeGraph {
         Agreement {
             keyframes: sides.values().map(BTreeSet::len).min().unwrap_or(0),
             aligned: sightings.iter().filter(|s| s.is_aligned()).count(),
+            pairs: sightings.len(),
         }
     }
 }

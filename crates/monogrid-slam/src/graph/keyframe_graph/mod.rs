@@ -43,6 +43,8 @@ pub(crate) struct KeyframeGraph {
     /// What belongs to the picture; everything where there is none.
     mask: Option<Mask>,
     entries: BTreeMap<KeyframeId, Entry>,
+    /// The keyframe in use when the camera was lost, as it was then.
+    in_use: Option<Arc<View>>,
     /// The keyframes as the job under way moves them. Each fragment has its own world, held by its
     /// first keyframe, and is optimised alone.
     poses: PoseSnapshot,
@@ -80,6 +82,7 @@ impl KeyframeGraph {
             fragments: config.fragments.clone(),
             mask,
             entries: BTreeMap::new(),
+            in_use: None,
             poses: PoseSnapshot::default(),
             active: BTreeSet::from([MAIN_MAP]),
             sightings: Vec::new(),
@@ -165,6 +168,7 @@ impl KeyframeGraph {
     /// Searches constraints for the finished keyframe and optimises the poses around what is new.
     pub(crate) fn run(&mut self, job: GraphJob) -> GraphUpdate {
         let begin = Instant::now();
+        self.in_use = None;
         self.poses.clone_from(&job.poses);
         let num_keyframes = self.poses.world_from_keyframe.len();
         self.poses.fragment.resize(num_keyframes, MAIN_MAP);
@@ -184,6 +188,7 @@ impl KeyframeGraph {
             });
         }
         if job.is_final {
+            self.join_in_the_end();
             self.search_all();
         }
         if is_changed {

@@ -250,7 +250,7 @@ fn a_fragment_joins_where_several_keyframes_say_that_it_is() {
 #[test]
 fn a_fragment_that_too_few_keyframes_recognise_stays_where_it_is() {
     let (update, truth, fragment_from_world) = two_fragments(FragmentConfig {
-        min_agreeing: 5,
+        min_agreeing: 20,
         ..FragmentConfig::default()
     });
     assert_eq!(update.joined, []);
