@@ -181,9 +181,9 @@ impl Slam {
     /// fragment of the map is started.
     fn find_back(&mut self, frame: Frame, mut report: FrameReport) -> FrameReport {
         let was_tracked = report.keyframe.is_some();
-        let is_worth_it = self.count_lost(was_tracked);
+        self.count_lost(was_tracked);
         let mut found = Vec::new();
-        if is_worth_it && self.setup.config.graph.places.enabled {
+        if self.setup.config.graph.places.enabled {
             self.await_graph();
             let in_use = self.lost_on();
             if let Some(graph) = self.graph.as_mut() {
