@@ -14,6 +14,15 @@ const ASK_OFTEN_MS = 150;
 const MAX_UNANSWERED = 5;
 const byId = (id) => document.getElementById(id);
 
+// What goes on in each state of tracking.
+const DOING = {
+  initialising: 'looking for depth: move the camera sideways',
+  good: 'following the camera',
+  degraded: 'following the camera, uncertain',
+  fragment: 'mapping a part of its own, until a known place is seen',
+  lost: 'lost: go back to what was seen before',
+};
+
 const IDENTITY = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0];
 const nothing = { unit: '', keyframes: [], links: [], path: [], reference: [] };
 
@@ -100,7 +109,7 @@ class Live {
 
   say({ frames: [done, total], rate, frame }) {
     const of = total ? `frame ${done} of ${total}` : `frame ${done}`;
-    const state = frame ? `${frame.state}${frame.reason ? ` (${frame.reason})` : ''}` : 'waiting for the first frame';
+    const state = frame ? `${DOING[frame.state] ?? frame.state}${frame.reason ? ` (${frame.reason})` : ''}` : 'waiting for the first frame';
     byId('live-state').textContent = `${of} · ${rate.toFixed(0)} per second · ${this.keyframes.size} keyframes · ${state}`;
   }
 
@@ -166,6 +175,7 @@ class Live {
     const low = [0, 1, 2].map((axis) => along(axis).reduce((a, b) => Math.min(a, b)));
     const high = [0, 1, 2].map((axis) => along(axis).reduce((a, b) => Math.max(a, b)));
     this.view.surround(low, high);
+    this.view.data.path = seen.map((point) => [0, ...point]);
     this.view.shared.heights.value = [low[2], high[2]];
     this.view.lookFrom('corner');
   }

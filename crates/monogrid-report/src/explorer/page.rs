@@ -50,8 +50,8 @@ const MARKUP: &str = "<section id=\"explorer\" class=\"explorer\" hidden><div id
     class=\"ruler\"><i></i><span></span></div></div><p id=\"colours\" class=\"legend\"></p><form \
     id=\"rescale\" hidden></form><form id=\"modes\"></form><p id=\"no-webgl\" class=\"warn\" \
     hidden>This browser shows no three-dimensional graphics (WebGL): the map is below, as a \
-    picture.</p><form id=\"switches\"></form><form id=\"cuts\"></form><details><summary>Crop, turn, \
-    hide, save</summary><form id=\"edit\"></form></details><p id=\"saved\" class=\"note\" \
+    picture.</p><form id=\"switches\"></form><form id=\"cuts\"></form><details><summary>Crop, \
+    turn, hide, save</summary><form id=\"edit\"></form></details><p id=\"saved\" class=\"note\" \
     role=\"status\"></p><p class=\"note\">Drag to turn, right button or two fingers to move, wheel \
     or pinch to come nearer; click two places to measure. This page is one file without others: \
     send it to show the map.</p><div \
