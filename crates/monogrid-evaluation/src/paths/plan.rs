@@ -348,6 +348,17 @@ mod tests {
         assert!((narrow.moved[0] - 0.1).abs() < 1e-9 && narrow.moved[1] == 0.0);
         assert!((narrow.points[0][0] - 0.25).abs() < 1e-9, "{narrow:?}");
         assert!(matches!(plan(3.0), Err(PlanError::NoRoom(_))));
+        let outside = plan_path(&map, from, [9.0, 0.0, 0.0], &PlanConfig::with_radius(0.2));
+        assert!(matches!(
+            outside,
+            Err(PlanError::Outside { end: "goal", .. })
+        ));
+        assert!(matches!(plan(f64::NAN), Err(PlanError::Radius(_))));
+    }
+
+    #[test]
+    fn a_place_too_far_from_where_the_robot_fits_is_another_place() {
+        let (map, to) = (room(), [3.35, 0.65, 0.85]);
         // in the corner of the door only a small robot fits near where it was wanted
         let inside_wall = [2.05, 0.05, 0.85];
         let near = |radius| plan_path(&map, inside_wall, to, &PlanConfig::with_radius(radius));
@@ -369,12 +380,6 @@ mod tests {
                 .moved[0],
             0.0
         );
-        let outside = plan_path(&map, from, [9.0, 0.0, 0.0], &PlanConfig::with_radius(0.2));
-        assert!(matches!(
-            outside,
-            Err(PlanError::Outside { end: "goal", .. })
-        ));
-        assert!(matches!(plan(f64::NAN), Err(PlanError::Radius(_))));
     }
 
     #[test]
