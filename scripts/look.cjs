@@ -54,8 +54,12 @@ async function open(context, url) {
   page.on('request', (request) => !request.url().startsWith('data:') && request.url() !== url && asked.push(request.url()));
   const begun = Date.now();
   await page.goto(url, { waitUntil: 'load', timeout: 120000 });
-  // a run that came to nothing has no explorer
-  await page.waitForFunction(() => window.explorer || !document.getElementById('explorer'), null, { timeout: 120000 }).catch(() => errors.push('no explorer'));
+  // a run that came to nothing has no explorer; until the script runs, that name is the element's. The surface is there once its picture is
+  await page.waitForFunction(() => {
+    const view = window.explorer?.view;
+    if (view === undefined) return !document.getElementById('explorer');
+    return !window.explorer.data?.surface?.texture || view?.surface.exact.material.uniforms.hasPicture.value === 1;
+  }, null, { timeout: 120000 }).catch(() => errors.push('no explorer'));
   // drawn twice: everything is on the screen
   await page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))));
   return { page, errors, asked, seconds: (Date.now() - begun) / 1000 };

@@ -17,6 +17,12 @@ pub const MAX_PIXELS: usize = 1 << 26;
 #[derive(Clone, Debug, Default)]
 pub struct Colours(BTreeMap<u32, Vec<u8>>);
 
+impl FromIterator<(u32, Vec<u8>)> for Colours {
+    fn from_iter<T: IntoIterator<Item = (u32, Vec<u8>)>>(keyframes: T) -> Self {
+        Self(keyframes.into_iter().collect())
+    }
+}
+
 impl Colours {
     /// Of a recording in memory.
     pub fn of(keyframes: &[RecordedKeyframe]) -> Self {

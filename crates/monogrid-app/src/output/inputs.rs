@@ -37,9 +37,15 @@ pub const MAP: &str = "global.ot";
 /// The map that a path leads to: the file, or that of the run in a folder.
 #[must_use]
 pub fn map_at(path: &Path) -> PathBuf {
-    let map = path.join(MAP);
-    match map.is_file() {
-        true => map,
+    result_at(path, MAP)
+}
+
+/// The result of this name that a path leads to: the file, or that of the run in a folder.
+#[must_use]
+pub fn result_at(path: &Path, name: &str) -> PathBuf {
+    let file = path.join(name);
+    match file.is_file() {
+        true => file,
         false => path.to_owned(),
     }
 }

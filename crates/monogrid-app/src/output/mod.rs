@@ -21,6 +21,6 @@ mod place;
 
 pub use file::OutputFile;
 pub use folder::OutputFolder;
-pub use inputs::{Inputs, MAP, map_at};
+pub use inputs::{Inputs, MAP, map_at, result_at};
 pub use manifest::Content;
 pub use place::{changed_ns, place_of_file, resolved};

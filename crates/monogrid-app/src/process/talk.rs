@@ -79,6 +79,11 @@ pub fn doing(name: &str) {
     talk().work = Some((name.to_owned(), Instant::now()));
 }
 
+/// Says how far work is that has begun then.
+pub fn counting(line: String, begin: Instant) {
+    talk().work = Some((line, begin));
+}
+
 /// Whether nothing was said for so long that something should be.
 pub fn is_due() -> bool {
     talk().is_due(Instant::now())

@@ -347,6 +347,13 @@ impl Align {
     pub fn in_known_frame(mut self, known: Self) -> Self {
         match &mut self {
             Self::Level(Up::Scene) => return known,
+            // a run's own frame, which its maps have already: it is not meant twice
+            Self::Sim3 {
+                target_from_results: named,
+                ..
+            } if matches!(&known, Self::Map { map_from_world, .. } if map_from_world == named) => {
+                return known;
+            }
             Self::Sim3 { base, .. } => **base = base.as_ref().clone().in_known_frame(known),
             _ => {}
         }
@@ -621,6 +628,38 @@ mod tests {
         assert_eq!(guess.level_surface.map(|s| s.camera_height), Some(0.7));
         assert!(guess.description.contains("a guess"), "{guess:?}");
         assert!(!guess.description.contains("z = 0 at the floor"));
+    }
+
+    #[test]
+    fn the_frame_that_a_run_has_already_is_not_applied_twice() {
+        let known = Sim3::new(2.0, Rotation::identity(), Vec3::new(1.0, 2.0, 3.0));
+        let map = Align::Map {
+            map_from_world: known,
+            description: String::new(),
+            is_metric: false,
+            ground: KnownGround {
+                up: UpSummary::new("scene", Some(0.9)),
+                floor: None,
+                level_surface: None,
+            },
+            has_grown: false,
+        };
+        let frame = |target_from_results: Sim3| {
+            let align = Align::Sim3 {
+                base: Box::new(Align::Level(Up::Scene)),
+                path: "map_from_world.txt".into(),
+                target_from_results,
+            };
+            let align = align.in_known_frame(map.clone());
+            let mut scene = || -> Scene { unreachable!("the frame is known") };
+            align.frame(&[], &SensedFrame::default(), &mut scene).0
+        };
+        assert_eq!(frame(known).map_from_world, known);
+        let other = Sim3 {
+            scale: 3.0,
+            ..known
+        };
+        assert_eq!(frame(other).map_from_world, other * known);
     }
 
     /// What cameras at a height of 1.4 see of a floor and of two walls, the world as the first of

@@ -290,6 +290,30 @@ fn paths_are_free_in_the_truth_and_blocked_by_a_wall() {
     let all = &walled["unknown_free"]["all"];
     assert!(all["false_positive"].as_f64().unwrap() > 0.3, "{walled}");
     assert!(all["unreachable"].as_f64().unwrap() > 0.3, "{walled}");
+    // maps in different frames hardly overlap, which is said before it is taken for a bad map
+    let options = [
+        "--robot-radius",
+        "0.1",
+        "--pairs",
+        "20",
+        "--min-distance",
+        "0.8",
+    ];
+    let said = |estimate: &str| {
+        let output = monogrid(
+            ["evaluate", "paths", estimate, &truth]
+                .iter()
+                .chain(&options),
+        );
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        stderr(&output)
+    };
+    let (move_by, far) = (folder.path("by.txt"), folder.path("far.ot"));
+    fs::write(&move_by, "1 0.9 0.9 0 0 0 0 1\n").unwrap();
+    ok(&["transform", &truth, &far, "--sim3", &move_by]);
+    let hint = "expected maps of the same place, in one frame and one unit";
+    assert!(said(&far).contains(hint), "{}", said(&far));
+    assert!(!said(&truth).contains("warning"), "{}", said(&truth));
     let too_wide = ["evaluate", "paths", &truth, &truth, "--robot-radius", "3"];
     assert_fails(&monogrid(too_wide), 2, &["radius 3"]);
 }
@@ -595,6 +619,11 @@ fn the_folder_of_a_run_is_taken_wherever_a_map_is() {
     fs::create_dir(&run).unwrap();
     let map = folder.write_map("run/global.ot", &wall());
     let out = |name: &str| folder.path(name);
+    let same = folder.write("same.txt", "1 0 0 0 0 0 0 1\n");
+    let poses: String = (0..9)
+        .map(|k| format!("{k} {k} {} 0 0 0 0 1\n", k * k))
+        .collect();
+    let path = folder.write("run/trajectory.txt", &poses);
     for (k, args) in [
         vec!["info", &run],
         vec!["diff", &run, &map],
@@ -602,6 +631,8 @@ fn the_folder_of_a_run_is_taken_wherever_a_map_is() {
         vec!["crop", &run, &out("d.ot"), "--min=-9,-9,-9", "--max=9,9,9"],
         vec!["merge", &run, &map, "--out", &out("e.ot")],
         vec!["mesh", &run, &out("f.ply")],
+        vec!["transform", &run, &out("l.ot"), "--sim3", &same],
+        vec!["evaluate", "trajectory", &run, &path],
         vec!["project", &run, &out("g.svg")],
         vec!["project", &run, &out("g.png")],
         vec!["slice", &run, &out("h")],

@@ -11,6 +11,7 @@ use monogrid_datasets::{
     read_sim3, read_trajectory,
 };
 use monogrid_geometry::Vec3;
+use monogrid_image::Image;
 use monogrid_occupancy::{Occupancy, read_ot};
 use monogrid_worlds::{
     EffectsConfig, ImuConfig, SynthConfig, WriteConfig, write_sequence_imu, write_tum_layout,
@@ -1098,4 +1099,43 @@ fn a_map_of_no_measurement_is_said_to_be_empty() {
     assert_eq!(summary["points"], 0);
     let trust = summary["trust"].as_str().unwrap();
     assert!(trust.contains("none of which is precise enough"), "{trust}");
+}
+
+#[test]
+fn pages_of_failed_runs_show_what_was_filmed() {
+    let dir = tempfile::tempdir().unwrap();
+    let page = |name: &str, blank_from: usize, more: &[&str]| {
+        let [source, out] = ["source", "out"].map(|part| dir.path().join(format!("{name}-{part}")));
+        copy_of_small_sequence(&source);
+        let images = files(&source.join("rgb"));
+        for (k, (name, _)) in images.iter().enumerate().skip(blank_from) {
+            let image = match blank_from {
+                0 => images[0].1.clone(),
+                // no two alike: those that repeat the one before are left out
+                _ => encode_png_rgb(&Image::filled(320, 240, [50 + k as u8; 3])),
+            };
+            fs::write(source.join("rgb").join(name), image).unwrap();
+        }
+        let mut args = vec!["run", source.to_str().unwrap(), "--max-frames", "130"];
+        args.extend(WITHOUT_DENSE_DEPTH.iter().chain(more));
+        args.extend(["--out", out.to_str().unwrap()]);
+        let output = monogrid(args);
+        assert_eq!(code(&output), 3, "{name}: {}", stderr(&output));
+        let html = fs::read_to_string(out.join("report.html")).unwrap();
+        let (_, failed) = html.split_once("Where it went wrong").expect(name);
+        let (failed, _) = failed.split_once("</a> says more").unwrap();
+        assert!(failed.contains("Film again") && failed.contains("troubleshooting.md"));
+        assert!(failed.contains("<figure><img src=\"data:image/jpeg;base64,"));
+        (html.contains("id=\"explorer\""), failed.to_owned())
+    };
+    // a camera that stands still: its images, and no empty boxes
+    let (has_explorer, failed) = page("still", 0, &[]);
+    assert!(!has_explorer, "there is nothing to explore");
+    assert!(failed.contains("<figcaption>frame 0"), "{failed}");
+    // a lens that is covered after a while: what was seen there, and what was mapped
+    let (has_explorer, failed) = page("covered", 40, &["--seed-depth", "dataset"]);
+    assert!(has_explorer);
+    assert_eq!(failed.matches("<figure>").count(), 1);
+    assert!(failed.contains("<figcaption>frame 4"), "after frame 40");
+    assert!(failed.contains("lost"), "and what happened");
 }

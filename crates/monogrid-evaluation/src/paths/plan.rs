@@ -74,14 +74,34 @@ pub enum PlanError {
     /// The robot does not fit anywhere.
     #[error("a robot of radius {0} fits nowhere in the free space of the map")]
     NoRoom(f64),
+    /// The robot does not fit at an end, nor near it.
+    #[error(
+        "a robot of radius {radius} does not fit at the {end}; the nearest place where it does and \
+         from where the other end can be reached is {place:.3?}, {distance:.3} away: expected at \
+         most {MAX_MOVED} radii; give that place, or a smaller radius"
+    )]
+    TooFar {
+        /// Start or goal.
+        end: &'static str,
+        /// Radius of the robot.
+        radius: f64,
+        /// Where it fits.
+        place: [f64; 3],
+        /// How far away that is.
+        distance: f64,
+    },
     /// Both ends have room, but are not connected.
     #[error("no path of a robot of radius {0} leads from the start to the goal")]
     NotConnected(f64),
 }
 
+/// Start and goal are moved by at most so many radii, twice the width of the robot: farther away it
+/// is another place than the one that was meant.
+const MAX_MOVED: f64 = 4.0;
+
 /// The shortest path between two places over the cells of a map, on which the robot touches no
 /// occupied cell and, unless it may, no unknown one. Where it does not fit at an end, the path
-/// begins or ends at the nearest place where it does.
+/// begins or ends at the nearest place where it does, at most four radii away.
 ///
 /// # Errors
 /// [`PlanError`]: why there is none.
@@ -111,22 +131,33 @@ pub fn plan_path(
     let half_diagonal = 0.5 * area.axes().sqrt();
     let mut planner = Planner::new(&grid, (radius / cell + half_diagonal) as f32);
     let component_at = |point| area.index_of(point).map_or(0, |i| planner.component(i));
-    let nearest = |point: [f64; 3], component: u32| {
+    let nearest = |end, point: [f64; 3], component: u32| {
         let fits = |i: &usize| match component {
             0 => planner.component(*i) != 0,
             wanted => planner.component(*i) == wanted,
         };
         let distance = |i: usize| area.distance(area.centre(grid.cell(i), point), point);
         let free = (0..grid.len()).filter(fits).map(|i| (distance(i), i));
-        free.min_by(|a, b| a.0.total_cmp(&b.0))
-            .ok_or(PlanError::NoRoom(radius))
+        let (distance, i) = free
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .ok_or(PlanError::NoRoom(radius))?;
+        let place = area.centre(grid.cell(i), point);
+        match distance <= MAX_MOVED * radius {
+            true => Ok((distance, i)),
+            false => Err(PlanError::TooFar {
+                end,
+                radius,
+                place,
+                distance,
+            }),
+        }
     };
-    let end = |point, other: u32| match component_at(point) {
-        0 => nearest(point, other),
+    let end = |name, point, other: u32| match component_at(point) {
+        0 => nearest(name, point, other),
         _ => Ok((0.0, area.index_of(point).unwrap_or_default())),
     };
-    let (start_moved, start) = end(from, component_at(to))?;
-    let (goal_moved, goal) = end(to, planner.component(start))?;
+    let (start_moved, start) = end("start", from, component_at(to))?;
+    let (goal_moved, goal) = end("goal", to, planner.component(start))?;
     let path = planner.plan(start, goal, &mut Visits::of_at_most(u64::MAX));
     let path = path.ok_or(PlanError::NotConnected(radius))?;
     let least = least_distance(&grid, &path.cells);
@@ -323,6 +354,32 @@ mod tests {
             Err(PlanError::Outside { end: "goal", .. })
         ));
         assert!(matches!(plan(f64::NAN), Err(PlanError::Radius(_))));
+    }
+
+    #[test]
+    fn a_place_too_far_from_where_the_robot_fits_is_another_place() {
+        let (map, to) = (room(), [3.35, 0.65, 0.85]);
+        // in the corner of the door only a small robot fits near where it was wanted
+        let inside_wall = [2.05, 0.05, 0.85];
+        let near = |radius| plan_path(&map, inside_wall, to, &PlanConfig::with_radius(radius));
+        let moved = near(0.15).unwrap().moved[0];
+        assert!(moved > 0.15 && moved <= MAX_MOVED * 0.15, "{moved}");
+        let Err(PlanError::TooFar {
+            end,
+            place,
+            distance,
+            ..
+        }) = near(0.02)
+        else {
+            panic!("{:?}", near(0.02));
+        };
+        assert!(end == "start" && distance > MAX_MOVED * 0.02, "{distance}");
+        assert_eq!(
+            plan_path(&map, place, to, &PlanConfig::with_radius(0.02))
+                .unwrap()
+                .moved[0],
+            0.0
+        );
     }
 
     #[test]

@@ -19,16 +19,21 @@ import {
 import { RAINBOW_SHADER } from 'explorer/colours';
 import { evenOrder } from 'explorer/data';
 
-// What all layers share: heights that are shown, heights of the colour scale, size of the picture.
+// What all layers share: the corners of the box that is shown, heights of the colour scale, size of the picture.
 export function sharedUniforms(heights) {
   return {
-    shownHeights: { value: [-1e30, 1e30] },
+    shownLow: { value: [-1e30, -1e30, -1e30] },
+    shownHigh: { value: [1e30, 1e30, 1e30] },
     heights: { value: heights },
     pixelsPerUnit: { value: 1 },
   };
 }
 
 const OUTSIDE = 'gl_Position = vec4(2.0, 2.0, 2.0, 1.0);';
+
+const SHOWN = `
+  uniform vec3 shownLow, shownHigh;
+  bool isShown(vec3 place) { return all(greaterThanEqual(place, shownLow)) && all(lessThanEqual(place, shownHigh)); }`;
 
 // Faces of cubes by the axis of their normal and its side; corners go around a face.
 const FACES = [0, 1, 2].flatMap((axis) => [0, 1].map((side) => ({ axis, side })));
@@ -92,7 +97,7 @@ function facesGeometry(cubes) {
 const CUBE_PLACE = `
   uniform vec3 first;
   uniform float unit;
-  uniform vec2 shownHeights, heights;
+  uniform vec2 heights;
   uniform float mode;
   attribute vec4 cell;
   attribute vec3 colour;
@@ -105,7 +110,7 @@ const CUBE_PLACE = `
     float height = (centre.z - heights.x) / max(heights.y - heights.x, 1e-9);
     return mode < 0.5 ? colour : rainbow(mode < 1.5 ? height : 2.0 * probability - 1.0);
   }
-  bool isShown(vec3 centre) { return centre.z >= shownHeights.x && centre.z <= shownHeights.y; }`;
+  ${SHOWN}`;
 
 const PLAIN = `
   varying vec3 tint;
@@ -217,15 +222,16 @@ export function pointsLayer(points, shared) {
     fragmentShader: PLAIN,
     vertexShader: `
       uniform vec3 low;
-      uniform vec2 shownHeights, heights;
+      uniform vec2 heights;
       uniform float stepLength, mode, size;
       attribute vec4 place;
       ${points.colours ? 'attribute vec3 colour;' : ''}
       varying vec3 tint;
       ${RAINBOW_SHADER}
+      ${SHOWN}
       void main() {
         vec3 point = (modelMatrix * vec4(low + stepLength * place.xyz, 1.0)).xyz;
-        if (point.z < shownHeights.x || point.z > shownHeights.y) { ${OUTSIDE} return; }
+        if (!isShown(point)) { ${OUTSIDE} return; }
         float height = (point.z - heights.x) / max(heights.y - heights.x, 1e-9);
         float confidence = floor(place.w / 256.0) / 255.0;
         tint = mode < 0.5 ? ${points.colours ? 'colour' : 'vec3(mod(place.w, 256.0) / 255.0)'}
@@ -243,7 +249,37 @@ export function pointsLayer(points, shared) {
 // The surface in its colours, lit a little so that its shape is seen; from behind it is not there, so that one looks into a room.
 export function surfaceLayer(surface, shared, redraw) {
   const { texture } = surface;
-  const material = new ShaderMaterial({
+  const material = surfaceMaterial(surface, shared);
+  if (texture) showPicture(texture, material, redraw);
+  return meshOf(texture ? facesOf(surface) : verticesOf(surface, surface.triangles), material);
+}
+
+// At most so many of these triangles, by vertices that become one with those near them, in the colours of the vertices.
+export function coarseLayer(surface, triangles, most, shared) {
+  const { raw, count } = surface;
+  const highest = raw.reduce((best, value, i) => (i % 4 < 3 && value > best ? value : best), 1);
+  const first = new Uint32Array(count);
+  for (let cell = highest / 256; triangles.length > 3 * most; cell *= 1.25) {
+    const known = new Map();
+    for (let i = 0; i < count; i++) {
+      const [x, y, z] = [0, 1, 2].map((axis) => Math.floor(raw[4 * i + axis] / cell));
+      const name = (x * 1024 + y) * 1024 + z;
+      if (!known.has(name)) known.set(name, i);
+      first[i] = known.get(name);
+    }
+    const kept = [];
+    for (let i = 0; i < triangles.length; i += 3) {
+      const [a, b, c] = [0, 1, 2].map((k) => first[triangles[i + k]]);
+      if (a !== b && b !== c && c !== a) kept.push(a, b, c);
+    }
+    triangles = Uint32Array.from(kept);
+  }
+  return meshOf(verticesOf(surface, triangles), surfaceMaterial({ ...surface, texture: null }, shared));
+}
+
+function surfaceMaterial(surface, shared) {
+  const { texture } = surface;
+  return new ShaderMaterial({
     uniforms: {
       ...shared,
       low: { value: new Vector3(...surface.low) },
@@ -256,18 +292,18 @@ export function surfaceLayer(surface, shared, redraw) {
     side: surface.bothSides ? 2 : 0,
     vertexShader: `
       uniform vec3 low;
-      uniform vec2 shownHeights;
       uniform float stepLength;
       attribute vec4 place;
       attribute vec3 colour;
       ${texture ? 'attribute vec2 on;' : ''}
       varying vec3 tint, point;
       varying vec2 at;
+      ${SHOWN}
       void main() {
         point = low + stepLength * place.xyz;
         tint = colour;
         at = ${texture ? 'on' : 'vec2(0.0)'};
-        if (point.z < shownHeights.x || point.z > shownHeights.y) { ${OUTSIDE} return; }
+        if (!isShown(point)) { ${OUTSIDE} return; }
         gl_Position = projectionMatrix * viewMatrix * vec4(point, 1.0);
       }`,
     fragmentShader: `
@@ -281,34 +317,34 @@ export function surfaceLayer(surface, shared, redraw) {
         gl_FragColor = vec4(hasPicture > 0.5 ? texture2D(filmed, at).rgb : tint * light, 1.0);
       }`,
   });
-  if (texture) {
-    const image = new Image();
-    image.onload = () => {
-      const picture = new Texture(image);
-      // rows from above, and nothing of the blocks beside
-      picture.flipY = false;
-      picture.generateMipmaps = false;
-      picture.minFilter = picture.magFilter = LINEAR;
-      picture.needsUpdate = true;
-      material.uniforms.filmed.value = picture;
-      material.uniforms.hasPicture.value = 1;
-      redraw();
-    };
-    image.src = `data:image/jpeg;base64,${texture.image}`;
-  }
-  return meshOf(texture ? facesOf(surface) : verticesOf(surface), material);
+}
+
+function showPicture(texture, material, redraw) {
+  const image = new Image();
+  image.onload = () => {
+    const picture = new Texture(image);
+    // rows from above, and nothing of the blocks beside
+    picture.flipY = false;
+    picture.generateMipmaps = false;
+    picture.minFilter = picture.magFilter = LINEAR;
+    picture.needsUpdate = true;
+    material.uniforms.filmed.value = picture;
+    material.uniforms.hasPicture.value = 1;
+    redraw();
+  };
+  image.src = `data:image/jpeg;base64,${texture.image}`;
 }
 
 // three.js' number of it
 const LINEAR = 1006;
 
-function verticesOf(surface) {
+function verticesOf(surface, triangles) {
   const geometry = new BufferGeometry();
   const place = new InterleavedBufferAttribute(new InterleavedBuffer(surface.raw, 4), 4, 0);
   geometry.setAttribute('place', place);
   geometry.setAttribute('position', place);
   geometry.setAttribute('colour', new BufferAttribute(surface.colours, 3, true));
-  geometry.setIndex(new BufferAttribute(surface.triangles, 1));
+  geometry.setIndex(new BufferAttribute(triangles, 1));
   return geometry;
 }
 

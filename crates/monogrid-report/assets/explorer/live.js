@@ -2,7 +2,7 @@
 // poses are sent.
 import { Group, Matrix4, Vector3 } from 'three';
 import { cubesLayer, lineLayer, markAt, pointsLayer, frustaLayer } from 'explorer/layers';
-import { Cubes, Points } from 'explorer/data';
+import { Cubes, Points, extent } from 'explorer/data';
 import { isDark } from 'explorer/colours';
 import { KeyframeView } from 'explorer/keyframe';
 import { View } from 'explorer/view';
@@ -12,7 +12,18 @@ const ASK_EVERY_MS = 300;
 const ASK_OFTEN_MS = 150;
 // a busy server may leave a question unanswered; after so many in a row there is none
 const MAX_UNANSWERED = 5;
+// Points of each keyframe that must be in view.
+const OF_EACH = 40;
 const byId = (id) => document.getElementById(id);
+
+// What goes on in each state of tracking.
+const DOING = {
+  initialising: 'looking for depth: move the camera sideways',
+  good: 'following the camera',
+  degraded: 'following the camera, uncertain',
+  fragment: 'mapping a part of its own, until a known place is seen',
+  lost: 'lost: go back to what was seen before',
+};
 
 const IDENTITY = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0];
 const nothing = { unit: '', keyframes: [], links: [], path: [], reference: [] };
@@ -100,7 +111,7 @@ class Live {
 
   say({ frames: [done, total], rate, frame }) {
     const of = total ? `frame ${done} of ${total}` : `frame ${done}`;
-    const state = frame ? `${frame.state}${frame.reason ? ` (${frame.reason})` : ''}` : 'waiting for the first frame';
+    const state = frame ? `${DOING[frame.state] ?? frame.state}${frame.reason ? ` (${frame.reason})` : ''}` : 'waiting for the first frame';
     byId('live-state').textContent = `${of} · ${rate.toFixed(0)} per second · ${this.keyframes.size} keyframes · ${state}`;
   }
 
@@ -155,18 +166,18 @@ class Live {
     this.groups[name].add(...layers);
   }
 
-  // Brings the path and what the keyframes look at into view.
+  // Brings the path and some points of every keyframe into view.
   follow() {
-    const seen = this.path.map((p) => p.slice(1));
-    for (const { unit, pose } of this.keyframes.values()) {
-      for (const depth of [0, 2 * unit]) seen.push([0, 1, 2].map((r) => pose[4 * r + 3] + depth * pose[4 * r + 2]));
+    const seen = [];
+    for (const [id, { points }] of this.points) {
+      const posed = this.keyframes.get(id);
+      const matrix = posed && matrixOf(posed.pose, posed.unit);
+      for (const i of posed ? points.order.subarray(0, OF_EACH) : []) seen.push(new Vector3(...points.at(i)).applyMatrix4(matrix).toArray());
     }
-    if (seen.length < 2) return;
-    const along = (axis) => seen.map((point) => point[axis]);
-    const low = [0, 1, 2].map((axis) => along(axis).reduce((a, b) => Math.min(a, b)));
-    const high = [0, 1, 2].map((axis) => along(axis).reduce((a, b) => Math.max(a, b)));
-    this.view.surround(low, high);
-    this.view.shared.heights.value = [low[2], high[2]];
+    if (seen.length + this.path.length < 2) return;
+    this.view.data = { ...nothing, keyframes: [...this.keyframes.values()], path: this.path, points: { count: seen.length, at: (i) => seen[i] } };
+    this.view.surround(...extent(this.view.data));
+    this.view.shared.heights.value = this.view.heights();
     this.view.lookFrom('corner');
   }
 

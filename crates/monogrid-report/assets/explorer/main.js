@@ -1,7 +1,8 @@
 // Puts the parts of the explorer together: what is chosen in one is shown in the others.
 import { RAINBOW } from 'explorer/colours';
-import { unpacked, length } from 'explorer/data';
+import { extent, length, unpacked } from 'explorer/data';
 import { KeyframeView } from 'explorer/keyframe';
+import { inMetres, save } from 'explorer/model';
 import { Plan } from 'explorer/plan';
 import { Timeline } from 'explorer/timeline';
 import { View } from 'explorer/view';
@@ -49,7 +50,7 @@ function controlView(view, data) {
   const shown = [-Infinity, Infinity];
   const cut = (side, open) => (height) => {
     shown[side] = (side ? height >= range[1] : height <= range[0]) ? open : height;
-    view.cut(Math.max(shown[0], -1e30), Math.min(shown[1], 1e30));
+    view.cut(2, side, shown[side]);
     return Number.isFinite(shown[side]) ? length(height, data.unit) : 'off';
   };
   const above = slider('cut above', range, range[1], cut(1, Infinity));
@@ -72,6 +73,62 @@ function controlView(view, data) {
   for (const where of ['corner', 'above', 'front']) panel.append(button(where, () => view.lookFrom(where)));
 }
 
+// Crops, turns and hides parts of what is shown, and saves what is left.
+function offerEdit(view, data, scene) {
+  const form = byId('edit');
+  const { edit } = view;
+  edit.box ??= [-Infinity, Infinity, -Infinity, Infinity].map((open) => Math.sign(open) * 1e30);
+  const [low, high] = extent(data);
+  ['x', 'y'].forEach((name, axis) => {
+    const room = high[axis] - low[axis] + 1e-6;
+    const range = [low[axis] - room, high[axis] + room];
+    ['from', 'to'].forEach((word, side) => {
+      const known = edit.box[2 * axis + side];
+      const crop = (value) => {
+        const isOpen = side ? value >= range[1] : value <= range[0];
+        edit.box[2 * axis + side] = isOpen ? (side ? 1e30 : -1e30) : value;
+        view.cut(axis, side, edit.box[2 * axis + side]);
+        return isOpen ? 'off' : length(value, data.unit);
+      };
+      form.append(slider(`${name} ${word}`, range, Math.min(Math.max(known, range[0]), range[1]), crop));
+    });
+  });
+  const turn = [...(edit.turn ?? [0, 0, 0])];
+  ['x', 'y', 'z'].forEach((name, axis) => {
+    const about = (degrees) => {
+      const hasTurned = turn[axis] !== degrees;
+      turn[axis] = degrees;
+      if (hasTurned) view.turnTo([...turn]);
+      return `${degrees.toFixed(0)}°`;
+    };
+    form.append(slider(`turn about ${name}`, [-180, 180], turn[axis], about));
+  });
+  const name = document.title.replace(/^monogrid: /, '').replace(/[^\w-]+/g, '-');
+  if (data.surface) {
+    const hiding = button('hide pieces: click them', () => (hiding.ariaPressed = view.isHiding = !view.isHiding));
+    const all = button('hide nothing', () => {
+      edit.hidden = [];
+      view.hide();
+    });
+    const model = button('save the model (.glb)', () => {
+      const bytes = view.model();
+      if (bytes) save(bytes, `${name}.glb`, 'model/gltf-binary');
+      byId('saved').textContent = !bytes
+        ? 'nothing of the surface is shown: there is no model'
+        : data.unit === 'm' ? 'saved in metres' : 'saved in map units: its true size is not known; click two places and type their distance';
+    });
+    form.append(hiding, all, model);
+  }
+  form.append(button('save this page', () => savePage({ ...scene, edit }, name)));
+}
+
+// The page as it was opened, with what it shows now.
+function savePage(scene, name) {
+  const page = PRISTINE.cloneNode(true);
+  page.querySelector('#scene').textContent = JSON.stringify(scene).replaceAll('<', '\\u003c');
+  save(`<!doctype html>${page.outerHTML}`, `${name}.html`, 'text/html');
+}
+
 // What the colours of the view mean.
 function explain({ title, scale, from, to }, data) {
   const ramp = { rainbow: RAINBOW, trust: [[204, 51, 38], [51, 166, 77]] }[scale];
@@ -84,8 +141,9 @@ function explain({ title, scale, from, to }, data) {
   );
 }
 
-// The command that makes the distance of two places a true length. A page that was opened as a file knows the folder of its run.
-function offerScale(places, { unit }) {
+// Makes the distance of two places a true length: here, and by a command in all files of the run, whose folder a page that was opened as
+// a file knows.
+function offerScale(places, { unit }, scene) {
   const form = byId('rescale');
   form.hidden = unit === 'm' || places.length < 2;
   if (form.hidden) return;
@@ -94,12 +152,16 @@ function offerScale(places, { unit }) {
   const ends = places.map((place) => place.map((value) => value.toFixed(4)).join(':'));
   const input = element('input', { type: 'number', min: 0, step: 'any', ariaLabel: 'true length in metres' });
   const command = element('code');
+  const distance = Math.hypot(...places[0].map((value, axis) => places[1][axis] - value));
+  const here = button('use it here', () => show(inMetres(scene, Number(input.value) / distance)));
   const tell = () => {
-    const known = Number(input.value) > 0;
+    const known = Number(input.value) > 0 && distance > 0;
+    here.disabled = !known;
     command.textContent = known ? `monogrid rescale ${quoted(folder)} --scale-from distance:${ends}=${input.value}m --out ${quoted(`${folder}-metres`)}` : '';
   };
   input.addEventListener('input', tell);
-  form.replaceChildren(element('label', {}, 'true length between them ', input, ' m'), command);
+  tell();
+  form.replaceChildren(element('label', {}, 'true length between them ', input, ' m'), here, element('span', { textContent: 'or, for all files of the run:' }), command);
 }
 
 function showPlan(data) {
@@ -187,25 +249,31 @@ function linkKeyframes(data, view, keyframeView, choose) {
   if (view) byId('keyframe-controls').append(button('look from here', () => view.lookFromKeyframe(data.keyframes[keyframeView.position ?? 0])));
 }
 
-function start() {
-  for (const form of document.querySelectorAll('form')) form.addEventListener('submit', (event) => event.preventDefault());
+// Shows a scene, in place of the one that was shown.
+function show(scene) {
   const begun = performance.now();
-  const data = unpacked(JSON.parse(byId('scene').textContent));
+  window.explorer?.view?.end?.();
+  byId('explorer').replaceWith(PRISTINE.querySelector('#explorer').cloneNode(true));
+  for (const form of document.querySelectorAll('form')) form.addEventListener('submit', (event) => event.preventDefault());
+  const data = unpacked(scene);
   byId('explorer').hidden = false;
   let view = null;
   try {
     view = new View(byId('view3d'), data, (text, places) => {
       byId('picked').textContent = text;
       byId('picked').hidden = false;
-      offerScale(places, data);
+      offerScale(places, data, { ...scene, edit: view.edit });
     });
     controlView(view, data);
+    offerEdit(view, data, scene);
   } catch (error) {
     byId('stage').hidden = true;
     byId('switches').hidden = true;
     byId('no-webgl').hidden = false;
     byId('no-webgl').title = String(error);
   }
+  const factor = scene.edit?.factor;
+  byId('saved').textContent = factor ? `in metres here: one map unit is ${factor.toPrecision(4)} m; text and numbers beside this view are of the map unit` : '';
   const plan = showPlan(data);
   byId('keyframe-part').hidden = !data.keyframes.some((keyframe) => keyframe.image);
   byId('timeline-part').hidden = !data.frames;
@@ -217,4 +285,6 @@ function start() {
   window.explorer = { view, data, choose, milliseconds: performance.now() - begun };
 }
 
-start();
+// The page before anything is shown: what is saved, and what begins anew.
+const PRISTINE = document.documentElement.cloneNode(true);
+show(JSON.parse(byId('scene').textContent));

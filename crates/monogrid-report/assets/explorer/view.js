@@ -1,8 +1,9 @@
 // The view in three dimensions: camera, layers, picking and measuring. Drawn when something changes, not all the time.
-import { OrbitControls, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3, WebGLRenderer } from 'three';
-import { Group, cubesLayer, freeLayer, frustaLayer, lineLayer, linksLayer, markAt, pointsLayer, sharedUniforms, surfaceLayer } from 'explorer/layers';
+import { BufferAttribute, Matrix4, OrbitControls, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3, WebGLRenderer } from 'three';
+import { Group, coarseLayer, cubesLayer, freeLayer, frustaLayer, lineLayer, linksLayer, markAt, pointsLayer, sharedUniforms, surfaceLayer } from 'explorer/layers';
 import { bar, extent, length, places, quantiles } from 'explorer/data';
 import { isDark } from 'explorer/colours';
+import { glbOf, piecesOf } from 'explorer/model';
 
 // A frame that takes longer than this while the view moves is drawn with less.
 const SLOW_MS = 45;
@@ -10,12 +11,16 @@ const SLOW_MS = 45;
 const LEAST_SHARE = 0.04;
 // Points and cubes that a computer without a graphics card draws twenty times a second.
 const AFFORDABLE = 60000;
+// Triangles that it draws as often.
+const AFFORDABLE_TRIANGLES = 20000;
 // With fewer cells than this the cloud says more, and is shown at once.
 const FEW_CELLS = 5000;
 // Share of what there is to see that may be out of view on each side at first.
 const LONE = 0.005;
 // Longest bar of a length, px.
 const MAX_BAR = 140;
+// Pixels of a computer without a graphics card along each side, of those it draws at rest, while the view moves.
+const COARSE = 0.5;
 // Milliseconds after which a view that no longer moves is drawn in full.
 const REST_MS = 180;
 
@@ -43,20 +48,24 @@ export class View {
     this.camera = new PerspectiveCamera(45, 1, 1, 10);
     this.camera.up.set(0, 0, 1);
     this.surround(...extent(data));
-    this.controls = new OrbitControls(this.camera, canvas);
-    this.controls.zoomToCursor = true;
+    this.edit = data.edit ?? {};
+    this.controls = this.turned();
     this.shared = sharedUniforms(this.heights());
     this.layers = this.build();
     this.marks = new Group();
     this.place = new Group();
     this.scene.add(this.marks, this.place, ...Object.values(this.layers).map((layer) => layer.object));
     this.picked = [];
+    // sides of points, px of the page
+    this.dots = 2;
     this.mustHurry = this.hasNoGraphicsCard();
     this.movingShare = this.mustHurry ? Math.min(1, AFFORDABLE / this.amount()) : 1;
     this.isMoving = false;
     this.wasMoving = false;
     this.listen();
     this.resize();
+    this.isHidden = () => false;
+    if (this.edit.hidden?.length) this.hide();
     this.lookFrom('corner');
   }
 
@@ -93,7 +102,12 @@ export class View {
       this.points = pointsLayer(points, this.shared);
       layers.cloud = { object: this.points.layer, on: false };
     }
-    if (surface) layers.surface = { object: surfaceLayer(surface, this.shared, () => this.draw()), on: false };
+    if (surface) {
+      this.surface = { exact: surfaceLayer(surface, this.shared, () => this.draw()), quick: null };
+      const object = new Group();
+      object.add(this.surface.exact);
+      layers.surface = { object, on: false };
+    }
     if (free?.count) layers.free = { name: 'free space', object: freeLayer(free, this.shared), on: false };
     if (path.length > 1) {
       const line = lineLayer(path.map((p) => p.slice(1)), isDark() ? 0xf0f0f0 : 0x151515);
@@ -117,9 +131,75 @@ export class View {
     this.layers[name].object.visible = on;
     this.draw();
   }
-  cut(low, high) {
-    this.shared.shownHeights.value = [low, high];
+  // Shows only what lies on one side of a place along an axis; `side` 0 shows what is above it.
+  cut(axis, side, place) {
+    const { shownLow, shownHigh } = this.shared;
+    (side ? shownHigh : shownLow).value[axis] = Math.min(Math.max(place, -1e30), 1e30);
     this.draw();
+  }
+
+  // From the axes of the map to those that are shown, z up, as somebody has turned them.
+  turn() {
+    const [x, y, z] = (this.edit.turn ?? [0, 0, 0]).map((degrees) => (degrees * Math.PI) / 180);
+    const about = (axis, angle) => new Matrix4()[`makeRotation${axis}`](angle);
+    return about('Z', z).multiply(about('Y', y)).multiply(about('X', x));
+  }
+
+  // Controls of a camera whose up is what is shown as up.
+  turned() {
+    this.controls?.dispose();
+    this.camera.up.set(0, 0, 1).transformDirection(this.turn().transpose());
+    const controls = new OrbitControls(this.camera, this.canvas);
+    controls.zoomToCursor = true;
+    controls.addEventListener('start', () => (this.isMoving = true));
+    controls.addEventListener('end', () => this.restSoon());
+    controls.addEventListener('change', () => this.draw());
+    return controls;
+  }
+
+  // Turns what is shown about the axes of the map, degrees.
+  turnTo(turn) {
+    this.edit.turn = turn;
+    this.controls = this.turned();
+    this.lookFrom('corner');
+  }
+
+  // Hides the pieces of the surface that are to be hidden.
+  hide() {
+    const { surface } = this.data;
+    if (!surface) return;
+    const { geometry } = this.surface.exact;
+    this.allTriangles ??= geometry.index.array;
+    const hidden = new Set(this.edit.hidden);
+    this.pieces ??= piecesOf(surface);
+    this.isHidden = (triangle) => hidden.has(this.pieces[surface.triangles[3 * triangle]]);
+    const kept = this.allTriangles.filter((_, i) => !this.isHidden(Math.floor(i / 3)));
+    geometry.setIndex(new BufferAttribute(kept, 1));
+    this.layers.surface.object.remove(this.surface.quick);
+    this.surface.quick = null;
+    this.draw();
+  }
+
+  // The surface as it is shown, as glTF; null where nothing of it is.
+  model() {
+    const { geometry } = this.surface.exact;
+    const { low, step, texture } = this.data.surface;
+    const raw = geometry.getAttribute('place');
+    const turn = this.turn();
+    const place = (vertex) => {
+      const at = [raw.getX(vertex), raw.getY(vertex), raw.getZ(vertex)].map((value, axis) => low[axis] + step * value);
+      if (!this.isShown(at)) return null;
+      const { x, y, z } = new Vector3(...at).applyMatrix4(turn);
+      return [x, z, -y];
+    };
+    return glbOf(geometry, texture, place, this.data.unit);
+  }
+
+  // Gives up what it holds: another one takes its place.
+  end() {
+    this.controls.dispose();
+    this.renderer.dispose();
+    this.renderer.forceContextLoss();
   }
 
   // The ways to show what was mapped, the best first: one layer, its colours, and what they mean.
@@ -157,15 +237,16 @@ export class View {
     this.draw();
   }
   sizePoints(size) {
-    this.points.uniforms.size.value = size * this.renderer.getPixelRatio();
+    this.dots = size;
+    this.sharpen(1);
     this.draw();
   }
 
   // From above the side from which it was filmed: what the camera did not see has no surface.
   lookFrom(where) {
     const direction = { corner: [...this.filmedFrom(), 0.7], above: [0, -0.001, 1.25], front: [-1.2, 0, 0.1] }[where];
-    const back = new Vector3(...direction).normalize();
-    const right = new Vector3(0, 0, 1).cross(back).normalize();
+    const back = new Vector3(...direction).transformDirection(this.turn().transpose());
+    const right = this.camera.up.clone().cross(back).normalize();
     const up = back.clone().cross(right);
     const { across, upwards, distance } = this.fit(right, up, back);
     const target = new Vector3(...this.centre).addScaledVector(right, across).addScaledVector(up, upwards);
@@ -177,7 +258,8 @@ export class View {
 
   // Where the cameras were as seen from what they filmed, level; a corner where that is nowhere.
   filmedFrom() {
-    const [x, y] = (this.data.keyframes ?? []).reduce(([x, y], { pose }) => [x - pose[2], y - pose[6]], [0, 0]);
+    const sum = (this.data.keyframes ?? []).reduce((sum, { pose }) => sum.sub(new Vector3(pose[2], pose[6], pose[10])), new Vector3());
+    const { x, y } = sum.applyMatrix4(this.turn());
     const size = Math.hypot(x, y);
     return size > 0.1 * this.data.keyframes.length ? [x / size, y / size] : [-0.65, -0.76];
   }
@@ -232,9 +314,6 @@ export class View {
   }
 
   listen() {
-    this.controls.addEventListener('start', () => (this.isMoving = true));
-    this.controls.addEventListener('end', () => this.restSoon());
-    this.controls.addEventListener('change', () => this.draw());
     let pressed = null;
     this.canvas.addEventListener('pointerdown', (event) => (pressed = [event.clientX, event.clientY]));
     this.canvas.addEventListener('pointerup', (event) => {
@@ -257,12 +336,18 @@ export class View {
   resize() {
     const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
     if (!width || !height) return;
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
-    this.shared.pixelsPerUnit.value = (0.5 * this.canvas.height) / Math.tan((this.camera.fov * Math.PI) / 360);
+    this.sharpen(1);
     this.draw();
+  }
+
+  // Draws with so many of the pixels along each side that the screen has.
+  sharpen(share) {
+    this.renderer.setPixelRatio(share * Math.min(devicePixelRatio, 2));
+    this.shared.pixelsPerUnit.value = (0.5 * this.canvas.height) / Math.tan((this.camera.fov * Math.PI) / 360);
+    if (this.points) this.points.uniforms.size.value = Math.max(1, this.dots * this.renderer.getPixelRatio());
   }
 
   // Draws before the next refresh of the screen.
@@ -317,6 +402,22 @@ export class View {
       uniforms.growth.value = Math.min(3, 1 / Math.sqrt(share));
     }
     if (this.points) this.points.layer.geometry.setDrawRange(0, Math.ceil(share * this.data.points.count));
+    if (this.surface) {
+      if (isQuick && !this.surface.quick) this.surface.quick = this.coarse();
+      this.surface.exact.visible = !isQuick;
+      if (this.surface.quick) this.surface.quick.visible = isQuick;
+    }
+    if (isQuick !== this.isCoarse) this.sharpen(isQuick ? COARSE : 1);
+    this.isCoarse = isQuick;
+  }
+
+  // What is shown of the surface, in fewer triangles.
+  coarse() {
+    const { surface } = this.data;
+    const shown = surface.triangles.filter((_, i) => !this.isHidden(Math.floor(i / 3)));
+    const layer = coarseLayer(surface, shown, AFFORDABLE_TRIANGLES, this.shared);
+    this.layers.surface.object.add(layer);
+    return layer;
   }
 
   render() {
@@ -344,6 +445,12 @@ export class View {
     const direction = caster.ray.direction.toArray();
     const found = this.pickSurface(origin, direction) ?? this.pickCell(origin, direction) ?? this.pickPoint(origin, direction);
     if (!found) return;
+    if (this.isHiding && found.triangle !== undefined) {
+      this.pieces ??= piecesOf(this.data.surface);
+      this.edit.hidden = [...(this.edit.hidden ?? []), this.pieces[this.data.surface.triangles[3 * found.triangle]]];
+      this.hide();
+      return;
+    }
     this.picked = this.picked.length === 2 ? [found] : [...this.picked, found];
     this.marks.clear();
     for (const { point } of this.picked) this.marks.add(markAt(point, 0.02 * this.radius, 0xff00aa));
@@ -352,9 +459,9 @@ export class View {
     this.draw();
   }
 
-  isShown(height) {
-    const [low, high] = this.shared.shownHeights.value;
-    return height >= low && height <= high;
+  isShown(place) {
+    const { shownLow, shownHigh } = this.shared;
+    return place.every((value, axis) => value >= shownLow.value[axis] && value <= shownHigh.value[axis]);
   }
 
   // The nearest triangle that faces the ray (Möller and Trumbore, Fast, minimum storage ray-triangle intersection, 1997).
@@ -366,6 +473,7 @@ export class View {
     const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
     let best = null;
     for (let i = 0; i < surface.triangles.length; i += 3) {
+      if (this.isHidden(i / 3)) continue;
       const [a, b, c] = [0, 1, 2].map((k) => surface.at(surface.triangles[i + k]));
       const [ab, ac, from] = [minus(b, a), minus(c, a), minus(origin, a)];
       const across = cross(direction, ac);
@@ -377,9 +485,9 @@ export class View {
       const along = dot(ac, over) / facing;
       if (u < 0 || v < 0 || u + v > 1 || along <= 0 || (best && along >= best.along)) continue;
       const point = origin.map((value, k) => value + along * direction[k]);
-      if (this.isShown(point[2])) best = { along, point };
+      if (this.isShown(point)) best = { along, point, triangle: i / 3 };
     }
-    return best && { point: best.point, text: 'surface' };
+    return best && { point: best.point, text: 'surface', triangle: best.triangle };
   }
 
   pickCell(origin, direction) {
@@ -388,7 +496,7 @@ export class View {
     let best = null;
     for (let i = 0; i < occupied.count; i++) {
       const centre = occupied.at(i);
-      if (!this.isShown(centre[2])) continue;
+      if (!this.isShown(centre)) continue;
       const half = occupied.edge(i) / 2;
       const distance = entry(origin, direction, centre.map((c) => c - half), centre.map((c) => c + half));
       if (distance !== null && (!best || distance < best.distance)) best = { i, distance, point: centre };
@@ -406,7 +514,7 @@ export class View {
     let best = null;
     for (let i = 0; i < points.count; i++) {
       const point = points.at(i);
-      if (!this.isShown(point[2])) continue;
+      if (!this.isShown(point)) continue;
       const to = point.map((value, k) => value - origin[k]);
       const along = to[0] * direction[0] + to[1] * direction[1] + to[2] * direction[2];
       if (along <= 0 || (best && along > best.along)) continue;
@@ -422,7 +530,7 @@ export class View {
     if (this.picked.length === 2) {
       const [a, b] = this.picked.map((p) => p.point);
       const across = a.map((value, i) => b[i] - value);
-      lines.push(`distance ${length(Math.hypot(...across), this.data.unit)}, of it ${length(Math.abs(across[2]), this.data.unit)} in height`);
+      lines.push(`distance ${length(Math.hypot(...across), this.data.unit)}, of it ${length(Math.abs(this.camera.up.dot(new Vector3(...across))), this.data.unit)} in height`);
     } else {
       lines.push('pick a second one to measure the distance');
     }

@@ -25,4 +25,6 @@ pub use mesh::PageMesh;
 pub use page::{LIVE_POLICY, POLICY, STYLE, live_section, section, write_section};
 pub use scene::{Camera, Frames, Keyframe, PagePlan, PathPoint, Scene, seconds_since};
 pub use server::{Answer, Server, Serving};
-pub use shown::{ShownKeyframe, cloud_and_keyframes, measured_in, point_groups, small_jpeg};
+pub use shown::{
+    ShownKeyframe, cloud_and_keyframes, measured_in, picture, point_groups, small_jpeg,
+};

@@ -27,7 +27,7 @@ macro_rules! module {
 }
 
 /// The scripts by the names under which they import each other.
-const MODULES: [(&str, &str); 10] = [
+const MODULES: [(&str, &str); 11] = [
     ("three", include_str!("../../assets/three/three.min.js")),
     module!("colours"),
     module!("data"),
@@ -35,6 +35,7 @@ const MODULES: [(&str, &str); 10] = [
     module!("layers"),
     module!("live"),
     module!("main"),
+    module!("model"),
     module!("plan"),
     module!("timeline"),
     module!("view"),
@@ -49,9 +50,11 @@ const MARKUP: &str = "<section id=\"explorer\" class=\"explorer\" hidden><div id
     class=\"ruler\"><i></i><span></span></div></div><p id=\"colours\" class=\"legend\"></p><form \
     id=\"rescale\" hidden></form><form id=\"modes\"></form><p id=\"no-webgl\" class=\"warn\" \
     hidden>This browser shows no three-dimensional graphics (WebGL): the map is below, as a \
-    picture.</p><form id=\"switches\"></form><form id=\"cuts\"></form><p class=\"note\">Drag to \
-    turn, right button or two fingers to move, wheel or pinch to come nearer; click two places to \
-    measure. This page is one file without others: send it to show the map.</p><div \
+    picture.</p><form id=\"switches\"></form><form id=\"cuts\"></form><details><summary>Crop, \
+    turn, hide, save</summary><form id=\"edit\"></form></details><p id=\"saved\" class=\"note\" \
+    role=\"status\"></p><p class=\"note\">Drag to turn, right button or two fingers to move, wheel \
+    or pinch to come nearer; click two places to measure. This page is one file without others: \
+    send it to show the map.</p><div \
     id=\"timeline-part\"><h3>Over time</h3><canvas id=\"timeline\" class=\"timeline\" \
     tabindex=\"0\" aria-label=\"state of tracking over time\"></canvas><p id=\"legend\" \
     class=\"legend\"></p><p id=\"moment\" class=\"moment\"></p></div><div class=\"pair\"><div \

@@ -103,7 +103,7 @@ fn has_picture(position: usize, num_keyframes: usize) -> bool {
 }
 
 /// A picture of what a keyframe looks like, JPEG in base64; `None` where nobody knows.
-fn picture(look: &Look) -> Option<String> {
+pub fn picture(look: &Look) -> Option<String> {
     match look {
         Look::Colour(image) => Some(base64(&small_colour_jpeg(image))),
         Look::Grey(image) => Some(base64(&small_jpeg(image))),

@@ -21,11 +21,11 @@ const ENDS: [[u8; 3]; 2] = [[31, 158, 119], [199, 55, 47]];
 
 /// Pixels along the longer side at most; cells of larger maps share one.
 const MAX_SIDE: usize = 1600;
-/// Pixels of the strip below with the bar and the tones.
-const STRIP: usize = 84;
+/// Pixels of the strip below with the bar and what the colours mean.
+const STRIP: usize = 112;
 /// Width of the narrowest picture: so much the strip needs.
 const MIN_WIDTH: usize = 400;
-/// Where the tones stand on it, px.
+/// Where the colours stand on it, px.
 const KEY: [usize; 3] = [16, 170, 270];
 /// Pixels per dot of a letter.
 const DOT: usize = 2;
@@ -105,11 +105,10 @@ impl Plan<'_> {
         let y = below + 14;
         fill(&mut picture, [16, y], [16 + length, y + 4], INK);
         write_text(&mut picture, [16, y + 14], &text);
-        for ((tone, name), x) in TONES.into_iter().zip(KEY) {
-            let (from, to) = ([x, y + 42], [x + 18, y + 60]);
-            fill(&mut picture, from, to, INK);
-            fill(&mut picture, [x + 1, y + 43], [x + 17, y + 59], tone);
-            write_text(&mut picture, [x + 24, y + 44], name);
+        for (tone, name, [x, y]) in self.key(y + 42) {
+            fill(&mut picture, [x, y], [x + 18, y + 18], INK);
+            fill(&mut picture, [x + 1, y + 1], [x + 17, y + 17], tone);
+            write_text(&mut picture, [x + 24, y + 2], name);
         }
         encode_png_rgb(&picture)
     }
@@ -155,8 +154,8 @@ impl Plan<'_> {
             y + 28,
             escape(&text)
         );
-        for ((tone, name), x) in TONES.into_iter().zip(KEY) {
-            let (tone, square, text) = (css(tone), y + 40, y + 54);
+        for (tone, name, [x, square]) in self.key(y + 40) {
+            let (tone, text) = (css(tone), square + 14);
             let _ = writeln!(
                 svg,
                 "<rect x=\"{x}\" y=\"{square}\" width=\"18\" height=\"18\" fill=\"{tone}\" \
@@ -165,6 +164,17 @@ impl Plan<'_> {
             );
         }
         svg + "</svg>\n"
+    }
+
+    /// What the colours mean, and where each stands, from a height on.
+    fn key(&self, top: usize) -> impl Iterator<Item = ([u8; 3], &'static str, [usize; 2])> {
+        let of_path = [(PATH, "path"), (ENDS[0], "start"), (ENDS[1], "end")];
+        let count = if self.path.is_empty() { 0 } else { 3 };
+        let known = TONES.into_iter().chain(of_path.into_iter().take(count));
+        let place = move |k: usize| [KEY[k % 3], top + 28 * (k / 3)];
+        known
+            .enumerate()
+            .map(move |(k, (tone, name))| (tone, name, place(k)))
     }
 
     /// Outlines of obstacles and of what is known, and the path, as DXF: lines on a layer each.
@@ -315,8 +325,10 @@ fn glyph(letter: char) -> [u8; 7] {
         'a' => [0, 0, 14, 1, 15, 17, 15],
         'b' => [16, 16, 22, 25, 17, 17, 30],
         'c' => [0, 0, 14, 16, 16, 17, 14],
+        'd' => [1, 1, 13, 19, 17, 17, 15],
         'e' => [0, 0, 14, 17, 31, 16, 14],
         'f' => [6, 9, 8, 28, 8, 8, 8],
+        'h' => [16, 16, 22, 25, 17, 17, 17],
         'i' => [4, 0, 12, 4, 4, 4, 14],
         'k' => [16, 16, 18, 20, 24, 20, 18],
         'l' => [12, 4, 4, 4, 4, 4, 14],
@@ -424,7 +436,9 @@ mod tests {
         assert!(svg.contains("10 map units, scale unknown"), "{svg}");
         assert!(svg.contains("points=\"3.2,12.8 22.4,3.2 \""), "{svg}");
         let texts = ["0125. m", "map units, scale unknown"];
-        let names = TONES.iter().map(|(_, name)| *name);
+        let key: Vec<_> = plan(true).key(0).collect();
+        assert_eq!(key.len(), 6);
+        let names = key.iter().map(|(_, name, _)| *name);
         for text in texts.into_iter().chain(names) {
             let missing = text.chars().find(|c| *c != ' ' && glyph(*c) == [0; 7]);
             assert_eq!(missing, None, "{text}");

@@ -32,7 +32,7 @@ use std::time::Instant;
 /// `monogrid thesis sweep`.
 #[derive(Debug, Args)]
 pub struct SweepArgs {
-    /// Recordings (.mgk) of one environment, e.g. with both profiles
+    /// Recordings (.mgk) or folders of runs of one environment, e.g. with both profiles
     #[arg(required = true)]
     pub recordings: Vec<PathBuf>,
     /// True map (.ot or .bt), best of the finest resolution; without it nothing is compared

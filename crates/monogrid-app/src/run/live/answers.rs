@@ -2,14 +2,15 @@
 
 use super::{Known, Live, SeenFrame, Wanted, lock};
 use monogrid_geometry::{Pinhole, Sim3};
-use monogrid_mapping::{KeyframeCamera, z_up_from_camera_world};
+use monogrid_mapping::{ImageOf, KeyframeCamera, z_up_from_camera_world};
+use monogrid_report::colours::Colours;
 use monogrid_report::explorer::{
-    Answer, Camera, Cells, Cloud, CloudPoint, Keyframe, Look, PathPoint, SemiDense, small_jpeg,
+    Answer, Camera, Cells, Cloud, CloudPoint, Keyframe, Look, PathPoint, SemiDense, picture,
+    small_jpeg,
 };
 use monogrid_report::picture::base64;
 use monogrid_slam::{DepthPixel, KeptKeyframe, Keyframe as SlamKeyframe, fault};
 use serde::Serialize;
-use std::borrow::Cow;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -131,7 +132,10 @@ impl Shown {
             .last()
             .map_or(known.version, |(version, _)| *version);
         let seconds = self.live.begin.elapsed().as_secs_f64();
-        let news = |(_, keyframe): &&(u64, KeptKeyframe)| Some(self.keyframe(&keyframe.load()?));
+        let news = |(_, keyframe): &&(u64, KeptKeyframe)| {
+            let colour = known.colours.get(&keyframe.id);
+            Some(self.keyframe(&keyframe.load()?, colour.map(|jpeg| jpeg.as_slice())))
+        };
         News {
             version: if is_all { known.version } else { last },
             ended: is_all && has_ended,
@@ -151,20 +155,23 @@ impl Shown {
         }
     }
 
-    fn keyframe(&self, keyframe: &SlamKeyframe) -> KeyframeNews {
+    fn keyframe(&self, keyframe: &SlamKeyframe, colour: Option<&[u8]>) -> KeyframeNews {
         let is_certain = |p: &&DepthPixel| p.idepth_var.sqrt() <= MAX_RELATIVE_SIGMA * p.idepth;
         let certain: Vec<DepthPixel> = keyframe.pixels.iter().filter(is_certain).copied().collect();
         let every = certain.len().div_ceil(MAX_POINTS).max(1);
         let camera = KeyframeCamera::new(self.pinhole, keyframe.size());
         let semi_dense = SemiDense::recorded(keyframe.id, camera, &certain);
         let at_rest = Sim3::identity();
-        let look = Look::Grey(Cow::Borrowed(&keyframe.image));
+        let colours = colour.map(|jpeg| (keyframe.id, jpeg.to_vec()));
+        let colours: Colours = colours.into_iter().collect();
+        let look = Look::of(keyframe.id, Some(ImageOf::Held(&keyframe.image)), &colours);
+        let image = picture(&look).unwrap_or_default();
         let points = semi_dense.points(look, &self.pinhole, &at_rest);
         let points: Vec<CloudPoint> = points.step_by(every).collect();
         KeyframeNews {
             id: keyframe.id,
             frame: keyframe.frame_index,
-            image: base64(&small_jpeg(&keyframe.image)),
+            image,
             cloud: Cloud::new(&[points], certain.len()).0,
         }
     }

@@ -46,6 +46,8 @@ struct Known {
     poses: Arc<PoseSnapshot>,
     /// Version in which poses changed last.
     posed: u64,
+    /// Keyframes in colour, as JPEG, of a source that has some.
+    colours: BTreeMap<KeyframeId, Arc<Vec<u8>>>,
 }
 
 /// The newest frame.
@@ -236,7 +238,19 @@ impl Known {
 }
 
 /// The ear of a viewer among the listeners of the pipeline.
+#[derive(Clone, Debug)]
 pub struct Ear(Arc<Live>);
+
+impl Ear {
+    /// Takes the colour of a keyframe, JPEG, which may come after it was shown in grey.
+    pub fn colour(&self, id: KeyframeId, jpeg: &[u8]) {
+        let mut known = lock(&self.0.known);
+        known.colours.insert(id, Arc::new(jpeg.to_vec()));
+        if let Some((_, keyframe)) = known.keyframes.get(&id).cloned() {
+            known.change_depth(&keyframe);
+        }
+    }
+}
 
 impl Listener for Ear {
     fn hear(&mut self, event: &Event) -> Result<(), ListenerError> {

@@ -18,7 +18,7 @@ pub struct Progress {
     has_lines: bool,
     num_done: usize,
     num_warnings: usize,
-    /// Until the last frame the bar talks.
+    /// What was named before is named again after the last frame.
     resting: Option<Rest>,
 }
 
@@ -58,11 +58,14 @@ impl Progress {
         let total = self.bar.length().unwrap_or_default() as usize;
         let left = left(self.num_done, total, elapsed);
         let text = format!("{rate:.0} per second{left} · {num_keyframes} keyframes · {state}");
-        if self.has_lines && talk::is_due() {
-            match total {
-                0 => eprintln!("{} frames · {text}", self.num_done),
-                _ => eprintln!("{} of {total} frames · {text}", self.num_done),
-            }
+        // a frame may take long: lines come by the clock, not by frames
+        if self.has_lines {
+            let of = match total {
+                0 => String::new(),
+                _ => format!(" of {total}"),
+            };
+            let line = format!("{}{of} frames · {text}", self.num_done);
+            talk::counting(line, self.begin);
         }
         self.bar.set_message(text);
         self.bar.set_position(self.num_done as u64);

@@ -7,6 +7,7 @@ use crate::keyframe_colours::ColourSource;
 use crate::output::{Content, OutputFolder};
 use crate::process::failure::{Classify, Failure};
 use crate::process::memory;
+use crate::run::live::Ear;
 use crate::run::sessions::{Earlier, RECORDING, continuation, sessions};
 use crate::run::tracking::submaps::{SubmapPolicy, Submaps};
 use monogrid_datasets::{
@@ -32,6 +33,8 @@ pub struct Recorder {
     earlier: Option<Earlier>,
     /// Colour of the frames of this run.
     source_colours: Option<ColourSource>,
+    /// Who is told of colours.
+    viewer: Option<Ear>,
 }
 
 /// What is said of a recording that cannot be written.
@@ -56,7 +59,15 @@ impl Recorder {
             source: session.source.clone(),
             earlier,
             source_colours,
+            viewer: None,
         })
+    }
+
+    /// Tells a viewer of the colours of keyframes.
+    #[must_use]
+    pub fn telling(mut self, viewer: Option<Ear>) -> Self {
+        self.viewer = viewer;
+        self
     }
 
     fn save(&mut self, event: &Event) -> Result<(), Failure> {
@@ -70,6 +81,9 @@ impl Recorder {
                 writer.append_keyframe(record).while_running(DOING)?;
                 let sources = (self.earlier.as_ref(), self.source_colours.as_ref());
                 let jpeg = colour(keyframe, sources);
+                if let (Some(viewer), Some(jpeg)) = (&self.viewer, &jpeg) {
+                    viewer.colour(keyframe.id, jpeg);
+                }
                 if let Some(jpeg) = jpeg.clone() {
                     let keyframe_id = keyframe.id;
                     let record = Record::Colour(ColourRecord { keyframe_id, jpeg });

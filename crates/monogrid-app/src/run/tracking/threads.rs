@@ -46,6 +46,7 @@ pub fn track(
         let earlier = settings.earlier().cloned();
         let sources = (earlier, Some(source_colours));
         let recorder = Recorder::start(Arc::clone(folder), &session, sources, settings.submaps)?;
+        let recorder = recorder.telling(viewer.as_ref().map(|viewer| viewer.ear()));
         pipeline.listen(recorder).map_err(Failure::running)?;
     }
     let reading = Reading {

@@ -8,7 +8,7 @@ use clap::{Args, ValueEnum};
 use monogrid_app::args::{JsonArg, Profile};
 use monogrid_app::config::RunConfig;
 use monogrid_app::input::depth_images::{depth_calibration, registered_depth};
-use monogrid_app::output::{Inputs, OutputFile};
+use monogrid_app::output::{Inputs, OutputFile, result_at};
 use monogrid_app::process::failure::{Classify, CommandResult, Failure};
 use monogrid_app::recorded::{by_camera, cameras_of, scans_of};
 use monogrid_app::run::align::{read_reference, stamped_all};
@@ -44,7 +44,7 @@ pub enum AlignMode {
 /// `monogrid evaluate trajectory`.
 #[derive(Debug, Args)]
 pub struct EvaluateTrajectoryArgs {
-    /// Estimated trajectory, TUM format
+    /// Estimated trajectory, TUM format, or the folder of a run
     pub estimate: PathBuf,
     /// True trajectory, TUM format (or EuRoC .csv), or a data set with poses
     pub truth: PathBuf,
@@ -87,12 +87,13 @@ pub struct EvaluateDepthArgs {
 
 /// Compares an estimated trajectory with the true one.
 pub fn trajectory(args: &EvaluateTrajectoryArgs) -> CommandResult {
-    let inputs = Inputs::of("the estimate", &args.estimate).and("the truth", &args.truth);
+    let path = result_at(&args.estimate, "trajectory.txt");
+    let inputs = Inputs::of("the estimate", &path).and("the truth", &args.truth);
     let file = |path: &PathBuf| OutputFile::new(path, args.force, &inputs);
     let sim3 = args.write_sim3.as_ref().map(file).transpose()?;
-    let estimate = read_path(&args.estimate).bad_input()?;
+    let estimate = read_path(&path).bad_input()?;
     let truth = read_reference(&args.truth)?;
-    let folder = args.estimate.parent();
+    let folder = path.parent();
     // where the results of its run lie beside it, coverage counts all frames of that
     let frame_times = folder.and_then(|folder| frame_times_ns(&folder.join("frames.csv")).ok());
     let frame_times: Option<Vec<i64>> = frame_times.map(|times| times.into_values().collect());

@@ -128,7 +128,8 @@ pub struct PlanArgs {
     /// Where the robot's centre is, in the unit of the map; X,Y on the floor
     #[arg(value_name = "FROM", value_parser = place, allow_hyphen_values = true)]
     pub from: [f64; 3],
-    /// Where it is to go; where the robot does not fit, the nearest place where it does
+    /// Where it is to go; where the robot does not fit, the nearest place where it does, at most
+    /// four radii away
     #[arg(value_name = "TO", value_parser = place, allow_hyphen_values = true)]
     pub to: [f64; 3],
     /// Radius of the robot, a ball or on the floor a disc, in the unit of the map
