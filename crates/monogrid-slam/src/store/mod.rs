@@ -145,7 +145,12 @@ impl<T: Measured> Kept<T> {
         let value = match &ticket.origin {
             Origin::Own(unpack) => {
                 let packed = ticket.store.cache().read(ticket.number)?;
-                unpack(&packed)?
+                let value = unpack(&packed);
+                if value.is_none() {
+                    let why = "its bytes mean nothing".to_owned();
+                    ticket.store.cache().lose(why);
+                }
+                value?
             }
             Origin::Derived(make) => make()?,
         };
