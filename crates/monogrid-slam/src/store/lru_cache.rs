@@ -105,6 +105,13 @@ impl LruCache {
         number
     }
 
+    /// Lets a value of its own leave memory, where there is a file.
+    pub(super) fn lay_aside(&mut self, number: u64) {
+        if self.write(number) {
+            self.take_out(number);
+        }
+    }
+
     /// A number for a value that is made when somebody asks for it.
     pub(super) fn promise(&mut self) -> u64 {
         self.enter(Kind::Derived)
