@@ -14,7 +14,7 @@ pub type Wheels = fn(usize, &Se3) -> Se3;
 pub fn alternating(step: usize, moved: &Se3) -> Se3 {
     moved.stretched(match step {
         60..75 => 2.0,
-        k if k / HELD % 2 == 0 => 1.02,
+        k if (k / HELD).is_multiple_of(2) => 1.02,
         _ => 0.98,
     })
 }
