@@ -13,4 +13,4 @@ if [ $# -gt 0 ] || [ -d "$sequence" ]; then
   LOOPBACK_SEQUENCE=$(realpath "$sequence")
   export LOOPBACK_SEQUENCE
 fi
-cargo test -p monogrid-ros2 --test loopback -- --ignored --nocapture
+cargo test --release -p monogrid-ros2 --test loopback -- --ignored --nocapture --test-threads 1

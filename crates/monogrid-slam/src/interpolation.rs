@@ -9,6 +9,7 @@
 use crate::keyframe::{PoseSource, TrajectoryPose};
 use crate::median::median;
 use monogrid_geometry::{Rotation, Se3, Vec3, rotation_exp, rotation_log};
+use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
 /// A pose that images gave.
@@ -20,7 +21,7 @@ pub(crate) struct SeenPose {
 }
 
 /// A frame that was lost.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(crate) struct LostFrame {
     pub frame_index: usize,
     pub timestamp_ns: i64,

@@ -28,7 +28,7 @@ use monogrid_messages::nav_msgs::Odometry;
 use monogrid_messages::std_msgs::Header;
 use monogrid_messages::tf2_msgs::TFMessage;
 use monogrid_pipeline::{Event, Pipeline, Settings, Unusable};
-use monogrid_slam::{Effort, FrameReport, KeyframeId, PoseSnapshot, Purpose};
+use monogrid_slam::{Effort, FrameReport, KeyframeId, PoseSnapshot, Purpose, Slam};
 use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::mpsc::SyncSender;
@@ -228,6 +228,8 @@ pub struct Tracking {
     odom_from_base: Option<Se3>,
     beside: Option<Beside>,
     base_from_camera: Se3,
+    /// What went wrong with the file for what is old, once it was said.
+    said_failure: Option<String>,
     news: SyncSender<News>,
     log: Arc<Log>,
 }
@@ -280,6 +282,7 @@ impl Tracking {
             publisher,
             local,
             odom_from_base: None,
+            said_failure: None,
             news,
             log,
         }
@@ -305,10 +308,7 @@ impl Tracking {
                 Work::Stop(answer) => self.stop(answer),
                 Work::Reset(answer) => self.reset(answer),
                 Work::Load(path, answer) => self.load(&path, answer),
-                Work::Save(answer) => {
-                    let known = self.pipeline.as_ref().map(|p| Box::new(self.known(p)));
-                    self.tell(News::Save(answer, known));
-                }
+                Work::Save(answer) => self.save(answer),
             }
         }
     }
@@ -401,6 +401,22 @@ impl Tracking {
         if self.is_stopped {
             self.tell(News::Waiting(STOPPED.to_owned()));
         }
+    }
+
+    /// Hands over what is known now, unless some of it is lost.
+    fn save(&self, answer: Answer) {
+        let pipeline = self.pipeline.as_ref();
+        let known = pipeline.map(|pipeline| Box::new(self.known(pipeline)));
+        let checked = pipeline.map_or(Ok(()), |pipeline| pipeline.slam().check_spilled());
+        if let Err(lost) = checked {
+            let why = lost.to_string();
+            self.log
+                .say(Severity::Error, &format!("no map saved: {why}"));
+            // whoever has gone away needs no answer
+            let _ = answer.send(response(Err(why)));
+            return;
+        }
+        self.tell(News::Save(answer, known));
     }
 
     /// What is known now.
@@ -538,6 +554,13 @@ impl Tracking {
         }
         let pipeline = self.pipeline.as_ref();
         let poses = pipeline.map(|p| p.slam().snapshot()).unwrap_or_default();
+        let failure = pipeline.and_then(|pipeline| pipeline.slam().spill_failure());
+        if let Some(failure) = &failure
+            && self.said_failure.is_none()
+        {
+            self.log.say(Severity::Error, failure);
+        }
+        self.said_failure = failure;
         if let (Some(beside), Some(world_from_camera), Some(keyframe)) =
             (&mut self.beside, report.world_from_camera, report.keyframe)
         {
@@ -670,6 +693,22 @@ impl Tracking {
         frame_of_map(&self.frame_of_mapper(), self.scale())
     }
 
+    /// Lets what is old leave memory for a file, which has no name and ends with the world.
+    fn bound_memory(&self, slam: &Slam) {
+        match tempfile::tempfile() {
+            Ok(file) => slam.spill_into(file),
+            Err(error) => {
+                let folder = std::env::temp_dir();
+                let said = format!(
+                    "memory will grow, since no file can be made in {} (TMPDIR names another \
+                     folder): {error}",
+                    folder.display()
+                );
+                self.log.say(Severity::Warn, &said);
+            }
+        }
+    }
+
     /// Begins a world at the time of its first image.
     fn begin(&mut self, stamp: Time) -> Result<Pipeline, String> {
         let camera = self.camera.clone();
@@ -688,6 +727,7 @@ impl Tracking {
         let map = map.transpose()?.map(|map| (map, self.purpose));
         let pipeline = Pipeline::with(preparation, settings, map);
         let mut pipeline = pipeline.map_err(|error| error.to_string())?;
+        self.bound_memory(pipeline.slam());
         let (news, number) = (self.news.clone(), self.next_world);
         self.next_world += 1;
         self.tell(News::Begun(Box::new(Begun {

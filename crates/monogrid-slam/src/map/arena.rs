@@ -20,8 +20,8 @@ use std::sync::Arc;
 /// host before those of a newer one.
 #[derive(Debug, Default)]
 pub(crate) struct Map {
-    /// Images and depth of the keyframes.
-    store: Store,
+    /// Images and depth of the keyframes, and what is old of the frames.
+    pub(super) store: Store,
     pub(super) keyframes: Vec<MapKeyframe>,
     /// Of these, those of earlier sessions, which come first.
     num_restored: usize,

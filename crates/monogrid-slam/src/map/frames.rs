@@ -1,13 +1,15 @@
 //! Frames with a believed pose, each relative to the keyframe that it was tracked on.
 
 use super::arena::Map;
+use super::log::Log;
 use crate::interpolation::{LostFrame, SeenPose, interpolated};
 use crate::{FragmentId, KeyframeId, MAIN_MAP, PoseSource, TrackedFrame, TrajectoryPose};
 use monogrid_geometry::{Se3, Vec3, Vec6};
+use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A tracked frame, relative to its keyframe.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(crate) struct Record {
     pub frame_index: usize,
     pub timestamp_ns: i64,
@@ -17,7 +19,7 @@ pub(crate) struct Record {
 }
 
 /// A stretch of time, forwards or backwards, in which frames were tracked on one keyframe.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Visit {
     keyframe: KeyframeId,
     begin_ns: i64,
@@ -25,7 +27,7 @@ struct Visit {
 }
 
 /// The frame with which tracking went on with another keyframe, as both know it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(crate) struct VisitEnd {
     /// As it was tracked on the keyframe that was left.
     pub frame_from_keyframe: Se3,
@@ -35,17 +37,17 @@ pub(crate) struct VisitEnd {
 /// All frames with a believed pose, and those that were lost.
 #[derive(Clone, Debug, Default)]
 pub(super) struct FrameLog {
-    visits: Vec<Visit>,
-    records: Vec<Record>,
-    lost: Vec<LostFrame>,
+    visits: Log<Visit>,
+    records: Log<Record>,
+    lost: Log<LostFrame>,
+    /// How many of them have a pose on each keyframe.
+    num_on: BTreeMap<KeyframeId, usize>,
 }
 
 impl FrameLog {
-    /// Memory, bytes.
+    /// Memory, bytes, of those that are not kept beside the keyframes.
     pub(super) fn bytes(&self) -> usize {
-        size_of_val(self.records.as_slice())
-            + size_of_val(self.visits.as_slice())
-            + size_of_val(self.lost.as_slice())
+        self.records.bytes() + self.visits.bytes() + self.lost.bytes()
     }
 }
 
@@ -140,11 +142,12 @@ impl Map {
         if let (Some(visit), Some(_)) = (visits.last_mut(), end) {
             visit.end = end;
         }
-        visits.push(Visit {
+        let visit = Visit {
             keyframe,
             begin_ns,
             end: None,
-        });
+        };
+        visits.push(visit, &self.store);
     }
 
     /// A frame has a pose on the keyframe in use.
@@ -154,22 +157,27 @@ impl Map {
         timestamp_ns: i64,
         frame_from_keyframe: Se3,
     ) {
-        if let Some(visit) = self.frames.visits.len().checked_sub(1) {
-            self.frames.records.push(Record {
-                frame_index,
-                timestamp_ns,
-                frame_from_keyframe,
-                visit,
-            });
-        }
+        let frames = &mut self.frames;
+        let Some(visit) = frames.visits.last() else {
+            return;
+        };
+        *frames.num_on.entry(visit.keyframe).or_default() += 1;
+        let record = Record {
+            frame_index,
+            timestamp_ns,
+            frame_from_keyframe,
+            visit: frames.visits.len() - 1,
+        };
+        frames.records.push(record, &self.store);
     }
 
     /// A frame has no pose; one that comes later may give it one.
     pub(crate) fn miss(&mut self, frame_index: usize, timestamp_ns: i64) {
-        self.frames.lost.push(LostFrame {
+        let frame = LostFrame {
             frame_index,
             timestamp_ns,
-        });
+        };
+        self.frames.lost.push(frame, &self.store);
     }
 
     /// The last frame with a pose.
@@ -180,13 +188,14 @@ impl Map {
     /// `last_from_this` of two frames as both were tracked on one keyframe, in units of the world;
     /// `None` if there is none that knows both.
     pub(crate) fn tracked_step(&self, last: &Record, this: &Record) -> Option<Se3> {
-        let keyframe = self.keyframe_of(this)?;
+        let visits = &self.frames.visits;
+        let keyframe = visits.recent(this.visit)?.keyframe;
         let last_from_keyframe = if last.visit == this.visit {
             last.frame_from_keyframe
         } else {
             let is_next = last.visit + 1 == this.visit;
-            let left = self.frames.visits.get(last.visit)?;
-            let next = self.frames.visits.get(last.visit + 1)?;
+            let left = visits.recent(last.visit)?;
+            let next = visits.recent(last.visit + 1)?;
             let end = left.end.as_ref()?;
             (is_next && next.begin_ns == last.timestamp_ns).then_some(end.frame_from_next)?
         };
@@ -214,7 +223,7 @@ impl Map {
         let lost = lost.filter(|frame| !known.contains(&frame.frame_index));
         // one that waited for a start was lost twice
         let lost: BTreeMap<i64, LostFrame> =
-            lost.map(|frame| (frame.timestamp_ns, *frame)).collect();
+            lost.map(|frame| (frame.timestamp_ns, frame)).collect();
         let lost: Vec<LostFrame> = lost.into_values().collect();
         let between = interpolated(&seen, &lost);
         let seen = seen.into_iter().map(|seen| seen.pose);
@@ -267,19 +276,14 @@ impl Map {
 
     /// Frames with a pose in a fragment.
     pub(crate) fn num_frames_in(&self, fragment: FragmentId) -> usize {
-        let records = self.frames.records.iter();
-        let keyframes = records.filter_map(|record| self.keyframe_of(record));
-        let in_fragment = keyframes.filter(|id| self[*id].fragment == fragment);
-        in_fragment.count()
-    }
-
-    fn keyframe_of(&self, record: &Record) -> Option<KeyframeId> {
-        self.frames.visits.get(record.visit).map(|v| v.keyframe)
+        let num_on = self.frames.num_on.iter();
+        let in_fragment = num_on.filter(|(id, _)| self[**id].fragment == fragment);
+        in_fragment.map(|(_, frames)| frames).sum()
     }
 
     /// All records with their keyframes and `world_from_camera`, each in the world of its fragment.
-    fn corrected_poses(&self) -> impl Iterator<Item = (&Record, KeyframeId, Se3)> {
-        let visits = &self.frames.visits;
+    fn corrected_poses(&self) -> impl Iterator<Item = (Record, KeyframeId, Se3)> {
+        let visits: Vec<Visit> = self.frames.visits.iter().collect();
         let next = || visits.iter().skip(1).map(Some).chain([None]);
         let shown = visits.iter().zip(next()).map(|(visit, next)| {
             let stretch = next.and_then(|next| self.stretch(visit, next));
@@ -292,8 +296,9 @@ impl Map {
             .zip(&factors)
             .map(|((visit, next), factor)| self.correction(visit, next?, *factor))
             .collect();
-        self.frames.records.iter().filter_map(move |record| {
-            let keyframe = self.keyframe_of(record)?;
+        let records = self.frames.records.iter();
+        records.filter_map(move |record| {
+            let keyframe = visits.get(record.visit)?.keyframe;
             let factor = factors.get(record.visit).copied().unwrap_or(1.0);
             let frame_from_keyframe = record.frame_from_keyframe.stretched(factor);
             let tracked = self[keyframe].world_from_camera(&frame_from_keyframe);

@@ -9,6 +9,7 @@ mod changes;
 mod events;
 mod frames;
 mod keyframe;
+mod log;
 mod parts;
 mod points;
 

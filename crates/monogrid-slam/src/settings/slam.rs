@@ -134,8 +134,8 @@ pub const SLAM: Settings<SlamConfig> = settings! { slam: SlamConfig, OLD,
         "Results become level when the direction of gravity is at least this precise.",
         "Raise it to accept a rough direction.";
     slam.memory.keyframes_mb => "MB", [(0.0, 1e6)],
-        "Images and depth of keyframes in memory. The rest lies in a temporary file. No result \
-         depends on it.",
+        "Images and depth of keyframes, and poses of old frames, in memory. The rest lies in a \
+         temporary file. No result depends on it.",
         "Raise it where the disk is slow, lower it on small computers.";
     slam.memory.prepared_mb => "MB", [(0.0, 1e6)],
         "Image pyramids of keyframes in memory. Others are made again. No result depends on it.",

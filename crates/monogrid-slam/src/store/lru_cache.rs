@@ -23,11 +23,11 @@ pub struct StoreBytes {
     pub file: usize,
 }
 
-/// A keyframe is lost that lay in the file for those that are not in memory.
+/// A keyframe, or poses of frames, are lost that lay in the file for what is not in memory.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "a keyframe cannot be read back from the file for those that are not in memory: {0}; write to \
-     another disk, or keep more of them in memory (slam.memory.keyframes_mb)"
+    "a keyframe, or poses of frames, cannot be read back from the file for what is not in memory: \
+     {0}; write to another disk, or keep more of them in memory (slam.memory.keyframes_mb)"
 )]
 pub struct SpillError(String);
 
@@ -103,6 +103,13 @@ impl LruCache {
         let number = self.enter(Kind::Own(pack, None));
         self.put_back(number, value, bytes);
         number
+    }
+
+    /// Lets a value of its own leave memory, where there is a file.
+    pub(super) fn lay_aside(&mut self, number: u64) {
+        if self.write(number) {
+            self.take_out(number);
+        }
     }
 
     /// A number for a value that is made when somebody asks for it.
@@ -213,12 +220,17 @@ impl LruCache {
         match self.scratch.as_mut()?.read(&place) {
             Ok(bytes) => Some(bytes),
             Err(error) => {
-                let lost = SpillError(error.to_string());
-                self.note(&lost.to_string());
-                self.lost.get_or_insert(lost);
+                self.lose(error.to_string());
                 None
             }
         }
+    }
+
+    /// A value does not come back, and why.
+    pub(super) fn lose(&mut self, why: String) {
+        let lost = SpillError(why);
+        self.note(&lost.to_string());
+        self.lost.get_or_insert(lost);
     }
 
     /// Forgets a value; what is left of it is to be dropped without the cache.

@@ -78,6 +78,13 @@ impl Store {
         self.kept(number, Origin::Own(T::unpack))
     }
 
+    /// Keeps a value that nobody needs for long: it leaves memory at once.
+    pub fn lay_aside<T: Keepable>(&self, value: T) -> Kept<T> {
+        let kept = self.keep(value);
+        self.cache().lay_aside(kept.0.number);
+        kept
+    }
+
     /// A value that follows from others and is made when somebody asks for it.
     pub fn derive<T: Measured>(
         &self,
@@ -137,24 +144,42 @@ impl<T: Measured> Kept<T> {
     /// The value; `None` where it, or what it follows from, cannot be read back from the file. The
     /// store remembers that ([`Store::failure`]).
     pub fn get(&self) -> Option<Arc<T>> {
-        let ticket = &*self.0;
-        let found = ticket.store.cache().find(ticket.number);
-        if let Some(value) = found {
-            return value.downcast().ok();
+        if let Some(value) = self.found() {
+            return Some(value);
         }
-        let value = match &ticket.origin {
-            Origin::Own(unpack) => {
-                let packed = ticket.store.cache().read(ticket.number)?;
-                unpack(&packed)?
-            }
-            Origin::Derived(make) => make()?,
-        };
+        let value = self.made()?;
         let (bytes, value) = (value.bytes(), Arc::new(value));
         let shared: Arc<dyn Any + Send + Sync> = Arc::clone(&value) as _;
         // it has left memory, of which it is a part again
-        let mut cache = ticket.store.cache();
-        cache.put_back(ticket.number, shared, bytes);
+        let mut cache = self.store().cache();
+        cache.put_back(self.0.number, shared, bytes);
         Some(value)
+    }
+
+    /// The same of a value that stays out of memory if it has left it.
+    pub fn get_once(&self) -> Option<Arc<T>> {
+        self.found().or_else(|| self.made().map(Arc::new))
+    }
+
+    /// The value, if it is in memory.
+    fn found(&self) -> Option<Arc<T>> {
+        let found = self.store().cache().find(self.0.number)?;
+        found.downcast().ok()
+    }
+
+    /// The value as it was written, or made of others.
+    fn made(&self) -> Option<T> {
+        let unpack = match &self.0.origin {
+            Origin::Own(unpack) => unpack,
+            Origin::Derived(make) => return make(),
+        };
+        let packed = self.store().cache().read(self.0.number)?;
+        let value = unpack(&packed);
+        if value.is_none() {
+            let why = "its bytes mean nothing".to_owned();
+            self.store().cache().lose(why);
+        }
+        value
     }
 }
 

@@ -1,5 +1,7 @@
 //! The other process: a camera, and somebody who listens to everything that the node publishes.
 
+pub mod wheels;
+
 use monogrid_geometry::{Camera, Distortion, Se3, Vec3};
 use monogrid_image::Image as Picture;
 use monogrid_inertial::ImuSample;
