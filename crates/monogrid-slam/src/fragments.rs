@@ -105,8 +105,8 @@ impl Meeting {
     }
 
     /// Whether that is enough to join two fragments of one run. Direct alignment fails where steps
-    /// are large or a picture is blurred: a further pair of keyframes that agrees by its points is as
-    /// good. Nothing was moved meanwhile, so that several keyframes may have recognised a single
+    /// are large or a picture is blurred: a further pair of keyframes that agrees by its points is
+    /// as good. Nothing was moved meanwhile, so that several keyframes may have recognised a single
     /// one: a lost frame is believed by less.
     #[must_use]
     pub(crate) fn is_enough_in_run(&self, config: &FragmentConfig) -> bool {

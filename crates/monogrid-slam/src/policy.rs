@@ -70,6 +70,13 @@ pub(crate) fn demand(tracked: &Tracked, lost_in_a_row: usize) -> Demand {
     }
 }
 
+/// Whether a lost frame is where its corners were recognised: its pixels or points lead no
+/// farther away than the camera can be. Weak pixels are enough, since the corners said the same.
+pub(crate) fn is_where_recognised(tracked: &Tracked) -> bool {
+    tracked.state != TrackingState::Lost
+        && (tracked.support != Support::None || !tracked.is_beyond_gate)
+}
+
 /// Whether a few points that agree are enough to let a pose by alignment stand; else all points are
 /// asked. What is weak or unexpected may be another place that looks alike there.
 pub(crate) const fn may_be_confirmed(state: TrackingState, is_surprising: bool) -> bool {
@@ -237,6 +244,25 @@ mod tests {
         }
         let few = Some(LostReason::NoTexture);
         assert_eq!(state_at_points(Lost, few), Good);
+    }
+
+    #[test]
+    fn a_recognised_frame_needs_pixels_near_there_or_points() {
+        use TrackingState::{Degraded, Good, Lost};
+        let held = Support::Held { num_points: 30 };
+        let is_believed = |state, is_beyond_gate, support| {
+            is_where_recognised(&Tracked {
+                is_beyond_gate,
+                support,
+                ..doubtful(false, state)
+            })
+        };
+        for state in [Good, Degraded] {
+            assert!(is_believed(state, false, Support::None));
+            assert!(!is_believed(state, true, Support::None));
+            assert!(is_believed(state, true, held));
+        }
+        assert!(!is_believed(Lost, false, Support::None));
     }
 
     #[test]

@@ -28,9 +28,9 @@ impl Nearest {
     }
 }
 
-/// Pairs of features of `a` and `b` that are nearest to each other, differ in `max_distance` bits at
-/// most, and are closer than `max_ratio` times the second of `b` (`[LOWE04]`, section 7.1). Blur and
-/// large steps change more bits than an index forgives, so that nothing is left out here.
+/// Pairs of features of `a` and `b` that are nearest to each other, differ in `max_distance` bits
+/// at most, and are closer than `max_ratio` times the second of `b` (`[LOWE04]`, section 7.1). Blur
+/// and large steps change more bits than an index forgives, so that nothing is left out here.
 #[must_use]
 pub(crate) fn match_features(
     a: &[Feature],

@@ -371,6 +371,27 @@ mod tests {
     }
 
     #[test]
+    fn a_camera_is_found_at_once_in_the_keyframe_on_which_it_was_lost() {
+        const JUMP: usize = 240;
+        let mut slam = slam(RefinementConfig::default());
+        for k in 0..4 {
+            slam.process_frame(input(k, 1));
+        }
+        assert_eq!(slam.map.next_id(), 1, "the graph knows no keyframe yet");
+        let report = slam.process_frame(FrameInput {
+            index: 4,
+            timestamp_ns: 4 * 33_333_333,
+            ..input(JUMP, 1)
+        });
+        assert!(report.relocalised, "{report:?}");
+        let truth = |k| small_demo().world_from_camera(k).unwrap();
+        let expected = truth(0).inverse() * truth(JUMP);
+        let error = expected.inverse() * report.world_from_camera.unwrap();
+        assert!(error.translation.norm() < 0.05, "{error:?}");
+        assert!(error.rotation.angle() < 0.02, "{error:?}");
+    }
+
+    #[test]
     fn a_slow_camera_refines_depth_with_some_of_its_frames() {
         // all but the first, which is the keyframe
         let all = num_refined(RefinementConfig::thesis());

@@ -5,10 +5,10 @@ use super::outcome::Attempt;
 use crate::frame::{BufferedFrame, Frame};
 use crate::graph::Relocalised;
 use crate::map::Map;
-use crate::policy::{Demand, demand};
+use crate::policy::{Demand, demand, is_where_recognised};
 use crate::setup::Setup;
 use crate::tracker::{
-    Accelerations, MotionPrior, PointMap, Support, Task, Tracked, extrapolate, is_convincing,
+    Accelerations, MotionPrior, PointMap, Task, Tracked, extrapolate, is_convincing,
 };
 use crate::{KeyframeId, LostReason, TrackingState};
 use monogrid_alignment::{DepthPixel, Motion, Reference};
@@ -279,8 +279,7 @@ pub(super) fn track_where_recognised(
     let points = points_of(setup, map, view.id);
     let tracked =
         Task::new(setup, &reference, frame, &prior).track_with_points(None, points.as_ref());
-    let is_near = tracked.support != Support::None || !tracked.is_beyond_gate;
-    (tracked.state != TrackingState::Lost && is_near).then_some(tracked)
+    is_where_recognised(&tracked).then_some(tracked)
 }
 
 /// The points of the sparse layer as a keyframe has them.
