@@ -7,7 +7,7 @@ use super::constrain::{GraphLink, graph_job};
 use super::depth::{DepthStage, Successor, observe_old_keyframes, stored_depth};
 use super::inertia::Placement;
 use super::keyframes::{Effort, KeyframePolicy, Use, finish_keyframe, first_keyframe};
-use super::lost::Recovery;
+use super::lost::{MIN_LOST_FRAMES, Recovery};
 use super::outcome::{Attempt, KeyframeChange};
 use super::points::{adjust_points, adjust_whole};
 use super::reactivate::Confirmed;
@@ -294,17 +294,17 @@ impl Slam {
 
 /// A loss, and what ends it.
 impl Slam {
-    /// A frame is lost.
-    pub(super) fn count_lost(&mut self, was_tracked: bool) {
+    /// A frame is lost; whether it is worth looking for.
+    pub(super) fn count_lost(&mut self, was_tracked: bool) -> bool {
         if was_tracked && self.recovery.lost_in_a_row() == 0 {
             self.map.lose(self.frame_index);
         }
-        self.recovery.count();
+        self.recovery.count(was_tracked)
     }
 
     /// The keyframe on which the camera was lost, as it is, for the first frame that is looked for.
     pub(super) fn lost_on(&self) -> Option<Arc<View>> {
-        if self.recovery.lost_in_a_row() != 1 || self.setup.is_frozen {
+        if self.recovery.lost_in_a_row() != MIN_LOST_FRAMES || self.setup.is_frozen {
             return None;
         }
         let (active, depth) = (self.tracker.active.as_ref()?, self.depth.get()?);

@@ -22,6 +22,9 @@ use monogrid_image::Pyramid;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
+/// Frames that must be lost in a row before the camera is looked for elsewhere.
+pub(super) const MIN_LOST_FRAMES: usize = 2;
+
 /// Last frames with a pose that are kept, in case that the camera is lost after them: a start that
 /// shows them goes on in their map.
 pub(super) const BRIDGE_FRAMES: usize = 8;
@@ -67,9 +70,11 @@ impl LossRecovery {
         self.lost_in_a_row
     }
 
-    /// Counts a lost frame.
-    pub(super) fn count(&mut self) {
+    /// Counts a lost frame, and says whether it is worth looking for by its appearance: not so the
+    /// first frames of a loss. Those before the map of an earlier session was recognised are.
+    pub(super) fn count(&mut self, was_tracked: bool) -> bool {
         self.lost_in_a_row += 1;
+        !was_tracked || self.lost_in_a_row >= MIN_LOST_FRAMES
     }
 
     /// Where a lost frame is, of which places that look like it were `found`. A camera that stays

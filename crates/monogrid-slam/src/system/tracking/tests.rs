@@ -33,7 +33,7 @@ fn run(sequence: &SynthSequence, shown: impl Fn(GrayImage) -> GrayImage) -> Slam
     }
     for k in TRACKED..TRACKED + MISSED {
         let frame = slam.setup.frame(input(sequence, k, shown(image(k))));
-        slam.recovery.count();
+        slam.recovery.count(true);
         slam.recovery.step(&slam.setup, &slam.map, frame, &[], None);
     }
     let end = TRACKED + MISSED;
