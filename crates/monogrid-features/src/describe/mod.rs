@@ -8,5 +8,6 @@ mod tests;
 
 pub(crate) use descriptor::PATTERN_SEED;
 pub use descriptor::{Descriptor, Feature, FeatureConfig, FeatureExtractor};
+pub use matching::DescriptorMatch;
 pub(crate) use matching::match_features;
-pub use places::{DescriptorMatch, PlaceCandidate, PlaceConfig, PlaceIndex};
+pub use places::{PlaceCandidate, PlaceConfig, PlaceIndex};

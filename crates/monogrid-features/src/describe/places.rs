@@ -6,6 +6,7 @@
 //! place, which the geometric check needs next.
 
 use super::Descriptor;
+use super::matching::{DescriptorMatch, Nearest};
 use std::collections::BTreeMap;
 
 /// Settings of a query.
@@ -30,17 +31,6 @@ impl Default for PlaceConfig {
             max_candidates: 5,
         }
     }
-}
-
-/// Two descriptors that belong together.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct DescriptorMatch {
-    /// Index in the first list.
-    pub a_idx: usize,
-    /// Index in the second list.
-    pub b_idx: usize,
-    /// Bits that differ.
-    pub distance: u32,
 }
 
 /// A place that looks like the query.
@@ -226,36 +216,6 @@ impl PlaceIndex {
             }
         }
         nearest
-    }
-}
-
-/// The closest descriptor of a place and the distance of the second.
-#[derive(Clone, Copy, Debug)]
-struct Nearest {
-    best: DescriptorMatch,
-    second: u32,
-}
-
-impl Nearest {
-    fn of(best: DescriptorMatch) -> Self {
-        Self {
-            best,
-            second: u32::MAX,
-        }
-    }
-
-    fn add(&mut self, found: DescriptorMatch) {
-        let key = |m: &DescriptorMatch| (m.distance, m.b_idx);
-        if key(&found) < key(&self.best) {
-            self.second = self.best.distance;
-            self.best = found;
-        } else {
-            self.second = self.second.min(found.distance);
-        }
-    }
-
-    fn is_distinct(&self, max_ratio: f32) -> bool {
-        max_ratio >= 1.0 || (self.best.distance as f32) < max_ratio * self.second as f32
     }
 }
 

@@ -156,7 +156,7 @@ impl<T: Measured> Kept<T> {
         Some(value)
     }
 
-    /// The same of a value that stays out of memory if it has left it.
+    /// [`Self::get`], but a value that has left memory does not come back into it.
     pub fn get_once(&self) -> Option<Arc<T>> {
         self.found().or_else(|| self.made().map(Arc::new))
     }

@@ -6,7 +6,7 @@ use super::change::{NextKeyframe, handover_link, keyframe_of, odometry_link};
 use super::constrain::{GraphLink, graph_job};
 use super::depth::{DepthStage, Successor, observe_old_keyframes, stored_depth};
 use super::inertia::Placement;
-use super::keyframes::{Effort, KeyframePolicy, Use, finish_keyframe, first_keyframe};
+use super::keyframes::{Effort, KeyframePolicy, Use, finish_keyframe, first_keyframe, view_of};
 use super::lost::{MIN_LOST_FRAMES, Recovery};
 use super::outcome::{Attempt, KeyframeChange};
 use super::points::{adjust_points, adjust_whole};
@@ -304,11 +304,13 @@ impl Slam {
 
     /// The keyframe on which the camera was lost, as it is, for the first frame that is looked for.
     pub(super) fn lost_on(&self) -> Option<Arc<View>> {
-        if self.recovery.lost_in_a_row() != MIN_LOST_FRAMES || self.setup.is_frozen {
+        let is_first = self.recovery.lost_in_a_row() == MIN_LOST_FRAMES;
+        if self.graph.is_none() || !is_first || self.setup.is_frozen {
             return None;
         }
         let (active, depth) = (self.tracker.active.as_ref()?, self.depth.get()?);
-        finish_keyframe(&self.setup, &self.map, active.id, depth).view
+        let view = view_of(&self.setup, &self.map, active.id, depth);
+        Some(Arc::new(view))
     }
 
     /// What became of a lost frame.
@@ -346,7 +348,7 @@ impl Slam {
 
     /// Goes on where the camera was recognised.
     fn resume(&mut self, frame: &Frame, recognised: Recognised, report: &mut FrameReport) {
-        let (id, alignment, state) = (recognised.id, recognised.alignment, recognised.state);
+        let (id, alignment) = (recognised.id, recognised.alignment);
         let left = self.leave();
         let finished = left.as_ref().map(|left| left.id);
         report.finished_keyframe = finished.filter(|_| !self.setup.is_frozen);
@@ -372,10 +374,8 @@ impl Slam {
         self.end_loss(keyframe, true);
         self.tracker.last = None;
         self.believe(frame, motion);
-        report.place_as(
-            state,
-            self.map.locate(keyframe, &motion.frame_from_keyframe),
-        );
+        let place = self.map.locate(keyframe, &motion.frame_from_keyframe);
+        report.place_as(recognised.state, place);
         report.relocalised = true;
         report.keyframe = Some(keyframe);
         report.covariance = alignment.covariance;

@@ -140,14 +140,6 @@ pub(super) fn finish_keyframe(
     let (config, store) = (&setup.config, map.store());
     let keyframe = &map[id];
     let is_kept = config.keyframes.reactivation.enabled || keyframe.depth.is_some();
-    let view = || View {
-        id: keyframe.id,
-        camera: setup.camera(),
-        image: keyframe.image.clone(),
-        samples: store.keep(tracking_samples(depth, &config.tracking)),
-        exposure: keyframe.exposure,
-        has_converged: keyframe.rank as usize >= config.keyframes.ramp_keyframes,
-    };
     FinishedKeyframe {
         id: keyframe.id,
         published: publish(setup, store, keyframe, depth),
@@ -157,7 +149,21 @@ pub(super) fn finish_keyframe(
         } else {
             Vec::new()
         },
-        view: config.graph.enabled.then(|| Arc::new(view())),
+        view: (config.graph.enabled).then(|| Arc::new(view_of(setup, map, id, depth))),
+    }
+}
+
+/// A keyframe as the graph sees it, with this depth.
+pub(super) fn view_of(setup: &Setup, map: &Map, id: KeyframeId, depth: &DepthMap) -> View {
+    let (config, keyframe) = (&setup.config, &map[id]);
+    let samples = tracking_samples(depth, &config.tracking);
+    View {
+        id,
+        camera: setup.camera(),
+        image: keyframe.image.clone(),
+        samples: map.store().keep(samples),
+        exposure: keyframe.exposure,
+        has_converged: keyframe.rank as usize >= config.keyframes.ramp_keyframes,
     }
 }
 

@@ -59,13 +59,12 @@ impl FrameReport {
         }
     }
 
-    /// The same of a camera that was lost, or has no map before.
+    /// Says where a camera is that was lost, or had no map before.
     pub(super) fn place_anew(&mut self, place: InFragment) {
         self.place_as(TrackingState::Good, place);
     }
 
-    /// The same of a camera whose picture was recognised: good, or degraded where the pixels agree
-    /// less.
+    /// Says where a camera is whose picture was recognised, and how far its pixels agree.
     pub(super) fn place_as(&mut self, state: TrackingState, place: InFragment) {
         self.state = state;
         self.reason = (state != TrackingState::Good).then_some(LostReason::Residuals);

@@ -57,20 +57,26 @@ pub(super) fn relocalise(
     frame: &Frame,
     in_use: Option<InUse<'_>>,
 ) -> Option<Recognised> {
-    let attempts = found.iter().filter_map(|found| {
-        let tracked = track_where_recognised(setup, map, found, frame)?;
-        Some((found, tracked))
-    });
-    let mut attempts: Vec<(&Relocalised, Tracked)> = attempts.collect();
-    attempts.sort_by_key(|(_, tracked)| tracked.state != TrackingState::Good);
-    attempts.iter().find_map(|(found, tracked)| {
+    let resumed = |(found, tracked): (&Relocalised, Tracked)| {
         Some(Recognised {
             id: found.view.id,
-            resume: resume_at(setup, map, (found, tracked), frame, in_use)?,
-            alignment: tracked.alignment.clone(),
+            resume: resume_at(setup, map, (found, &tracked), frame, in_use)?,
             state: tracked.state,
+            alignment: tracked.alignment,
         })
-    })
+    };
+    let mut degraded = Vec::new();
+    for found in found {
+        let Some(tracked) = track_where_recognised(setup, map, found, frame) else {
+            continue;
+        };
+        if tracked.state != TrackingState::Good {
+            degraded.push((found, tracked));
+        } else if let Some(recognised) = resumed((found, tracked)) {
+            return Some(recognised);
+        }
+    }
+    degraded.into_iter().find_map(resumed)
 }
 
 /// Goes on with the recognised keyframe where the frame shows about the same, else with the frame.

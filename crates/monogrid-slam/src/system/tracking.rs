@@ -265,7 +265,7 @@ pub(super) fn track_on_other(
     Task::new(setup, &reference, frame, &MotionPrior::at(predicted)).track(None)
 }
 
-/// The same by the points of the map too, where a frame was recognised.
+/// Tracks a frame by its pixels and the points of the map, from where its corners were recognised.
 pub(super) fn track_where_recognised(
     setup: &Setup,
     map: &Map,

@@ -33,7 +33,7 @@ pub struct Recorder {
     earlier: Option<Earlier>,
     /// Colour of the frames of this run.
     source_colours: Option<ColourSource>,
-    /// Who is told of colours.
+    /// Hears the colours of keyframes.
     viewer: Option<Ear>,
 }
 

@@ -46,8 +46,8 @@ impl KeyframeGraph {
         (self.update(), meetings)
     }
 
-    /// The same of the fragments of this run at its end: what was seen first may show what was only
-    /// seen later.
+    /// Joins fragments of this run at its end: what was seen first may show what was only seen
+    /// later.
     pub(super) fn join_in_the_end(&mut self) {
         self.sightings = self.meet();
         if self.join_fragments() {
